@@ -1,0 +1,1 @@
+"""What exists: people, hair, skin, clothes and lights, as parameters and arrays. No Blender."""

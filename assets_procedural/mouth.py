@@ -1,0 +1,173 @@
+"""The inside of the mouth: teeth, gums and tongue, behind the lips and moved by the jaw."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from assets_procedural.dentition import LOWER, UPPER, Jaw, jaw
+from assets_procedural.head import Bust, HeadModel, Identity
+from assets_procedural.person import Person
+from assets_procedural.piece import MeshPiece, Part
+from assets_procedural.subdivision import Subdivision, catmull_clark
+
+# Half of the upper arch (mm): x from the midline, y behind the incisors; the lower one lies inside.
+_UPPER_ARCH = np.array(
+    [(0, 0), (5, -0.4), (10, -2.2), (15, -5.8), (19, -11.0), (22.2, -17.5), (24.6, -25.0),
+     (26.4, -33.0), (27.6, -41.0), (28.0, -47.0)]
+)  # fmt: skip
+_LOWER_ARCH = _UPPER_ARCH * [0.93, 0.97]
+# Vertices of MakeHuman's base mesh on the midline: the wet side of the upper and the lower lip.
+_UPPER_WALL, _LOWER_WALL = (554, 571), (557, 574)
+# Where the lips meet.
+_SEAM = (474, 493, 520, 523)
+_JAW_SHIFTS = ("jawLeft", "jawRight", "jawForward")
+
+
+def mouth(person: Person, identity: Identity) -> list[MeshPiece]:
+    """Upper and lower teeth and gums, and the tongue: materials "teeth", "gums" and "tongue".
+
+    All carry Part.MOUTH_INTERIOR. `parameters["colour"]` is a linear Rec.709 albedo; teeth yellow
+    with age.
+    """
+    rng = np.random.default_rng([person.skin.seed, 7])
+    age = np.clip((person.age_years - 18) / 60, 0, 1)
+    shade = np.array([0.76, 0.71, 0.61]) * (1 - age * np.array([0.14, 0.19, 0.32]))
+    shade = shade * (1 + rng.normal(0, 0.03))
+    melanin = person.skin.melanin
+    gum = np.array([0.52, 0.19, 0.17]) * (1 - 0.35 * melanin)
+    tongue = np.array([0.50, 0.17, 0.15]) * (1 - 0.12 * melanin)
+    frame = _Frame(identity)
+    pieces = []
+    for name, shapes, arch, place in (
+        ("upper", UPPER, _UPPER_ARCH, _with_head),
+        ("lower", LOWER, _LOWER_ARCH, _with_jaw),
+    ):
+        dentition: Jaw = jaw(shapes, arch, rng)
+        for kind, points, faces, colour in (
+            ("teeth", dentition.teeth, dentition.teeth_faces, shade),
+            ("gums", dentition.gums, dentition.gums_faces, gum),
+        ):
+            rest = frame.upper(points) if name == "upper" else frame.lower(points)
+            # The lower jaw is mirrored in z, which turns its faces inside out.
+            pieces.append(
+                MeshPiece(
+                    f"{kind}_{name}",
+                    Part.MOUTH_INTERIOR,
+                    faces if name == "lower" else faces[:, ::-1],
+                    kind,
+                    place(rest),
+                    {"colour": tuple(float(c) for c in np.clip(colour, 0, 0.9))},
+                )
+            )
+    subdivision, used = _tongue(identity.model)
+
+    def place_tongue(bust: Bust) -> np.ndarray:
+        points = subdivision.matrix @ bust.unposed[used]
+        return _by_head(bust, points)
+
+    pieces.append(
+        MeshPiece(
+            "tongue",
+            Part.MOUTH_INTERIOR,
+            subdivision.faces,
+            "tongue",
+            place_tongue,
+            {"colour": tuple(float(c) for c in tongue)},
+        )
+    )
+    return pieces
+
+
+def jaw_motion(bust: Bust) -> np.ndarray:
+    """(4, 4) rigid motion of the lower jaw in the unposed head, from rest.
+
+    The rotation is the best fit to the head model's own lower teeth; sideways and forward shifts,
+    which leave those teeth alone, are the tongue's.
+    """
+    model, rest = bust.model, bust.identity.rest
+    group = model.groups["teeth_lower"]
+    before, after = rest[group], bust.unposed[group]
+    start, end = before.mean(axis=0), after.mean(axis=0)
+    rotation, _ = Rotation.align_vectors(after - end, before - start)
+    motion = np.eye(4)
+    motion[:3, :3] = rotation.as_matrix()
+    motion[:3, 3] = end - motion[:3, :3] @ start
+    for name in _JAW_SHIFTS:
+        value = bust.pose.expression.get(name, 0.0)
+        if value:
+            shape = model.arrays["facial/shapes"][model.expression_names.index(name)]
+            motion[:3, 3] += value * shape[model.groups["tongue"]].mean(axis=0)
+    return motion
+
+
+class _Frame:
+    """Where the dental arches of an identity sit: behind its lips, along its jaws."""
+
+    def __init__(self, identity: Identity):
+        model, rest = identity.model, identity.rest
+        template = model.template.astype(float)
+        upper = model.groups["teeth_upper"]
+        # The arch tilts with the head's own teeth: their mirrored ends lie on the biting plane.
+        edge = rest[upper]
+        front, back = edge[np.argmin(edge[:, 1])], edge[np.argmax(edge[:, 1])]
+        rise = edge[np.argsort(edge[:, 1])]
+        depth = float(back[1] - front[1])
+        slope = np.polyfit(rise[:, 1], rise[:, 2], 1)[0]
+        self.tilt = float(np.arctan(slope))
+        breadth = float(np.ptp(edge[:, 0]))
+        reference = template[upper]
+        self.scale = 1e-3 * np.array(
+            [breadth / np.ptp(reference[:, 0]), depth / np.ptp(reference[:, 1]), 1.0]
+        )
+        self.scale[2] = self.scale[:2].mean()
+        self.seam = rest[_base(model, _SEAM)].mean(axis=0)
+        self.wall = rest[_base(model, _UPPER_WALL)][:, 1].max()
+        self.lower_wall = rest[_base(model, _LOWER_WALL)][:, 1].max()
+
+    def upper(self, points: np.ndarray) -> np.ndarray:
+        """Millimetres of the arch → rest space; z runs down from the gums."""
+        edge = UPPER[0].height * self.scale[2]
+        # Upper incisors end 1.5 mm below the line of the lips, behind the lower lip.
+        origin = np.array([0, self.wall + 2.6e-3, self.seam[2] - 1.5e-3 + edge])
+        return origin + self._tilted(points * self.scale * [1, -1, -1])
+
+    def lower(self, points: np.ndarray) -> np.ndarray:
+        """As `upper`; z runs up from the gums. Lower incisors bite behind the upper ones."""
+        edge = LOWER[0].height * self.scale[2]
+        front = max(self.wall + 2.6e-3 + 2.6e-3, self.lower_wall + 3.0e-3)
+        origin = np.array([0, front, self.seam[2] - 0.2e-3 - edge])
+        return origin + self._tilted(points * self.scale * [1, -1, 1])
+
+    def _tilted(self, points: np.ndarray) -> np.ndarray:
+        return Rotation.from_euler("x", self.tilt).apply(points)
+
+
+def _base(model: HeadModel, ids: tuple[int, ...]) -> np.ndarray:
+    """Indices of vertices given by their numbers in MakeHuman's base mesh."""
+    return np.searchsorted(model.base_index, ids)
+
+
+@lru_cache(maxsize=2)
+def _tongue(model: HeadModel) -> tuple[Subdivision, np.ndarray]:
+    used, local = np.unique(model.faces["tongue"], return_inverse=True)
+    return catmull_clark(local.reshape(-1, 4), len(used)), used
+
+
+def _with_head(rest: np.ndarray):
+    return lambda bust: _by_head(bust, rest)
+
+
+def _with_jaw(rest: np.ndarray):
+    def place(bust: Bust) -> np.ndarray:
+        motion = jaw_motion(bust)
+        return _by_head(bust, rest @ motion[:3, :3].T + motion[:3, 3])
+
+    return place
+
+
+def _by_head(bust: Bust, points: np.ndarray) -> np.ndarray:
+    motion = bust.bones["head"]
+    return points @ motion[:3, :3].T + motion[:3, 3]

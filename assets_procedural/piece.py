@@ -1,0 +1,80 @@
+"""Everything that sits on a bust, as arrays that follow it: surfaces and strands.
+
+A piece knows its topology once and its place on any `Bust`: `place(bust)` is a pure function that
+is called with the posed bust for the picture and with the canonical bust for the canonical label.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from assets_procedural.head import Bust
+
+
+class Part(IntEnum):
+    """Part labels with the ids of FaceSynthetics (Wood et al., ICCV 2021).
+
+    Left and right are the subject's.
+    """
+
+    BACKGROUND = 0
+    SKIN = 1
+    NOSE = 2
+    RIGHT_EYE = 3
+    LEFT_EYE = 4
+    RIGHT_BROW = 5
+    LEFT_BROW = 6
+    RIGHT_EAR = 7
+    LEFT_EAR = 8
+    MOUTH_INTERIOR = 9
+    TOP_LIP = 10
+    BOTTOM_LIP = 11
+    NECK = 12
+    HAIR = 13
+    BEARD = 14
+    CLOTHING = 15
+    GLASSES = 16
+    HEADWEAR = 17
+    FACEWEAR = 18
+    IGNORE = 255
+
+
+@dataclass(frozen=True)
+class MeshPiece:
+    """A surface: V vertices, F faces of k = 3 or 4 corners.
+
+    `part` is one label for all faces or an (F,) array. `uv` is (F, k, 2) in [0, 1]. `vertex` holds
+    per-vertex material inputs, (V,) or (V, 3). `hidden_from_labels` marks thin transparent
+    surfaces (cornea, lenses) that the labels look through.
+    """
+
+    name: str
+    part: int | np.ndarray
+    faces: np.ndarray
+    material: str
+    place: Callable[[Bust], np.ndarray]
+    parameters: dict[str, Any] = field(default_factory=dict)
+    uv: np.ndarray | None = None
+    vertex: dict[str, np.ndarray] = field(default_factory=dict)
+    smooth: bool = True
+    hidden_from_labels: bool = False
+
+
+@dataclass(frozen=True)
+class StrandPiece:
+    """N strands of K points each, root first; `radius` (N, K) in metres."""
+
+    name: str
+    part: int
+    radius: np.ndarray
+    place: Callable[[Bust], np.ndarray]
+    parameters: dict[str, Any] = field(default_factory=dict)
+
+
+Piece = MeshPiece | StrandPiece

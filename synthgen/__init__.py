@@ -1,0 +1,6 @@
+"""How it is photographed: jobs, plan, Blender stage, shards, manifest, farm.
+
+Importing this package imports nothing heavy; take what you need from its modules.
+"""
+
+__version__ = "0.1.0"

@@ -1,0 +1,348 @@
+"""The command `synthgen`. Imports nothing heavy before a command runs: `--help` must be quick."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from assets_procedural.environment import EnvironmentSpec
+
+RENDERER = "synthgen.stage.render:render_subject"
+
+app = typer.Typer(
+    help="Render portrait datasets of synthetic people, with exact labels, under many lights.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+
+Job = Annotated[Path, typer.Argument(metavar="JOB.toml", help="A job file; see render_jobs/.")]
+Dataset = Annotated[Path, typer.Argument(metavar="DIR", help="A dataset's folder.")]
+Key = Annotated[str, typer.Argument(metavar="KEY", help="A shot, such as s000003_p01.")]
+Overrides = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="Override a value of the job; repeatable."),
+]
+Device = Annotated[str, typer.Option(help="cpu, cuda, optix, hip or metal.")]
+Threads = Annotated[int, typer.Option(min=1, help="Threads of each worker.")]
+Subset = Annotated[
+    str | None, typer.Option(help="The subset, where a key occurs in more than one.")
+]
+Renderer = Annotated[str, typer.Option(hidden=True)]
+
+
+def main() -> None:
+    """Entry point: like `app()`, but errors of the user's making are one line and exit code 2."""
+    try:
+        app()
+    except Exception as error:
+        if not isinstance(error, _user_errors()):
+            raise
+        _stderr().print(f"[bold red]error:[/] {_escape(str(error))}", soft_wrap=True)
+        sys.exit(2)
+
+
+@app.command()
+def plan(
+    job: Job,
+    overrides: Overrides = None,
+    calibrate: Annotated[
+        bool, typer.Option("--calibrate", help="Measure this machine first (some minutes, kept).")
+    ] = False,
+    within: Annotated[
+        str | None, typer.Option(metavar="TIME", help="Deadline such as 12h, 7d or 2w.")
+    ] = None,
+    device: Device = "cpu",
+    threads: Threads = 1,
+    renderer: Renderer = RENDERER,
+) -> None:
+    """Say what a job amounts to: subjects, shots, frames, bytes, core-hours, machines."""
+    from synthgen import calibration, preflight
+    from synthgen.estimate import estimate, report
+    from synthgen.job import load_job
+
+    spec = load_job(job, overrides or ())
+    hours = None if within is None else preflight.parse_duration(within)
+    the_plan, _ = preflight.make_plan(spec, job)
+    if calibrate:
+        preflight.check_device(device)
+        with _progress() as progress:
+            task = progress.add_task("measuring this machine", total=None)
+
+            def advance(done: int, total: int) -> None:
+                progress.update(task, completed=done, total=total)
+
+            calibration.save(calibration.measure(the_plan, renderer, device, threads, advance))
+    report(estimate(the_plan, device, threads), hours, _stdout())
+
+
+@app.command()
+def render(
+    job: Job,
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where the dataset goes.")],
+    workers: Annotated[
+        int | None,
+        typer.Option(min=1, help="Processes; default: cores / threads, or 1 on a GPU."),
+    ] = None,
+    threads: Threads = 1,
+    device: Device = "cpu",
+    shard: Annotated[
+        str, typer.Option(metavar="I/N", help="Render the I-th of N slices, 1/N to N/N.")
+    ] = "1/1",
+    limit: Annotated[
+        int | None, typer.Option(min=1, help="Render at most that many subjects now.")
+    ] = None,
+    overrides: Overrides = None,
+    retry_failed: Annotated[
+        bool, typer.Option("--retry-failed", help="Try subjects again that were given up.")
+    ] = False,
+    renderer: Renderer = RENDERER,
+) -> None:
+    """Render a job. Running the same command again resumes."""
+    from synthgen import preflight
+    from synthgen.farm.local import render_job
+    from synthgen.job import load_job
+
+    slice_ = preflight.parse_shard(shard)
+    spec = load_job(job, overrides or ())
+    _, environments = preflight.make_plan(spec, job)
+    preflight.check_output(out)
+    preflight.check_disk(out, spec, share=1 / slice_[1])
+    preflight.check_device(device)
+    _check_panoramas(environments, out, job)
+    if workers is None and device != "cpu":
+        workers = 1
+    summary = render_job(
+        spec,
+        out,
+        workers=workers,
+        threads=threads,
+        device=device,
+        shard=slice_,
+        limit=limit,
+        renderer=renderer,
+        retry_failed=retry_failed,
+    )
+    console = _stdout()
+    console.print(
+        f"{summary.rendered} subjects, {summary.frames} frames in {_duration(summary.seconds)}"
+        + ("; the dataset is complete" if summary.complete else "")
+    )
+    for entry in summary.failed:
+        console.print(
+            _escape(f"failed: {entry['subset']}/{entry['key']}: {entry['reason']} ({entry['log']})")
+        )
+    if summary.failed:
+        raise typer.Exit(1)
+
+
+@app.command()
+def status(out: Dataset) -> None:
+    """Say what is done, running and failed; works while rendering."""
+    from rich.table import Table
+
+    from synthgen import ledger
+    from synthgen.estimate import size
+
+    state = ledger.status(out)
+    console = _stdout()
+    table = Table(title=f"{state.name} in {out}", title_justify="left")
+    table.add_column("subset")
+    for column in ("subjects", "done", "given up", "shards", "size"):
+        table.add_column(column, justify="right")
+    for s in state.subsets:
+        counts = [f"{n:,}" for n in (s.subjects, s.done, s.failed, s.shards)]
+        table.add_row(s.name, *counts, size(s.bytes))
+    console.print(table)
+    done, total = state.frames
+    line = f"{done:,} of {total:,} frames"
+    if state.frames_per_second:
+        line += f", {state.frames_per_second * 3600:,.0f} frames per hour"
+        line += f" by {state.workers} workers"
+    if state.seconds_left is not None:
+        line += f", {_duration(state.seconds_left)} left"
+    console.print(line + ("; complete" if state.complete else ""))
+    for entry in state.running:
+        console.print(
+            f"running: {entry['subset']}/{entry['key']} for {_duration(entry['seconds'])}"
+        )
+    for entry in state.failures:
+        tries = f"{entry['attempts']} attempts"
+        console.print(
+            _escape(f"failed: {entry['subset']}/{entry['key']}, {tries}: {entry['reason']}")
+        )
+
+
+@app.command()
+def verify(out: Dataset) -> None:
+    """Check every shard against every promise; exit code 1 and a list if anything is off."""
+    from synthgen.verify import verify as check
+
+    problems = check(out)
+    console = _stdout()
+    for problem in problems:
+        console.print(_escape(problem), soft_wrap=True)
+    if problems:
+        console.print(f"{len(problems)} problem{'s' if len(problems) > 1 else ''} in {out}")
+        raise typer.Exit(1)
+    console.print(f"{out}: everything is as promised")
+
+
+@app.command()
+def show(
+    out: Dataset,
+    key: Key,
+    subset: Subset = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", metavar="PNG", help="Default: DIR-KEY.png.")
+    ] = None,
+) -> None:
+    """Draw one shot with all its passes and environments; prints the picture's path."""
+    from synthgen import pictures
+
+    target = output or out.with_name(f"{out.resolve().name}-{key}.png")
+    typer.echo(pictures.show(out, key, target, subset=subset))
+
+
+@app.command()
+def sheet(
+    out: Dataset,
+    output: Annotated[
+        Path | None, typer.Option("--output", metavar="PNG", help="Default: DIR.png.")
+    ] = None,
+) -> None:
+    """Draw a contact sheet of a dataset; prints the picture's path."""
+    from synthgen import pictures
+
+    target = output or out.with_name(f"{out.resolve().name}.png")
+    typer.echo(pictures.sheet(out, target))
+
+
+@app.command()
+def rerender(
+    out: Dataset,
+    key: Key,
+    subset: Subset = None,
+    device: Device = "cpu",
+    threads: Threads = 1,
+) -> None:
+    """Render one shot again from what the dataset records, and report the difference."""
+    from synthgen import preflight
+    from synthgen.rerender import rerender as again
+
+    preflight.check_device(device)
+    typer.echo(again(out, key, subset=subset, device=device, threads=threads))
+
+
+@app.command()
+def query(
+    out: Dataset,
+    sql: Annotated[str, typer.Argument(metavar="SQL", help='"SELECT … FROM manifest".')],
+) -> None:
+    """Ask the manifest in SQL (DuckDB)."""
+    from rich.table import Table
+
+    from synthgen import manifest
+
+    found = manifest.query(out, sql)
+    table = Table(*[str(c) for c in found.column_names])
+    for row in found.to_pylist():
+        table.add_row(*[_escape(str(value)) for value in row.values()])
+    _stdout().print(table)
+
+
+@app.command()
+def export(
+    out: Dataset,
+    target: Annotated[
+        Path | None, typer.Option("--output", metavar="DIR", help="Default: DIR-nerfstudio.")
+    ] = None,
+    format_: Annotated[str, typer.Option("--format", help="nerfstudio.")] = "nerfstudio",
+) -> None:
+    """Write a dataset for another tool: a transforms.json per subject and environment."""
+    from synthgen.export import nerfstudio
+    from synthgen.job import JobError
+
+    if format_ != "nerfstudio":
+        raise JobError("--format", "", format_, "choose nerfstudio")
+    destination = target or out.with_name(f"{out.resolve().name}-nerfstudio")
+    typer.echo(nerfstudio(out, destination))
+
+
+def _check_panoramas(environments: list[EnvironmentSpec], out: Path, file: Path) -> None:
+    """Read the user's own panoramas, those apart that the dataset holds already."""
+    from synthgen import preflight
+
+    unseen = [
+        e
+        for e in environments
+        if e.kind == "file" and not (out / "environments" / f"{e.id}.exr").exists()
+    ]
+    with _progress() as progress:
+        for environment in progress.track(unseen, description="reading panoramas"):
+            preflight.check_panorama(environment, file)
+
+
+def _user_errors() -> tuple[type[Exception], ...]:
+    """What is reported in one line. Imported only when something was raised already."""
+    from assets_procedural.panorama import PanoramaError
+    from synthgen.job import JobError
+    from synthgen.ledger import StorageError
+
+    return JobError, StorageError, PanoramaError
+
+
+def _stdout() -> Console:
+    from rich.console import Console
+
+    # A pipe has no width of its own, and 80 columns would break tables and paths.
+    return Console(highlight=False, width=None if sys.stdout.isatty() else 160)
+
+
+def _stderr() -> Console:
+    from rich.console import Console
+
+    return Console(stderr=True, highlight=False)
+
+
+def _progress() -> Progress:
+    """A progress bar on stderr, silent when that is no terminal."""
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    console = _stderr()
+    columns = ("{task.description}", BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    return Progress(
+        *(TextColumn(c) if isinstance(c, str) else c for c in columns),
+        TimeRemainingColumn(),
+        console=console,
+        disable=not console.is_terminal,
+    )
+
+
+def _escape(text: str) -> str:
+    from rich.markup import escape
+
+    return escape(text)
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 60:
+        return f"{seconds:.0f} s"
+    minutes = round(seconds / 60)
+    if minutes < 60:
+        return f"{minutes} min"
+    return f"{minutes // 60} h {minutes % 60:02d} min"

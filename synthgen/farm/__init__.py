@@ -1,0 +1,1 @@
+"""Handing out subjects to workers. Variants differ only in how the work is handed out."""

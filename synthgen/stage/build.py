@@ -1,0 +1,138 @@
+"""A person as Blender objects: built once, moved from pose to pose.
+
+The skin is the head model's bust, subdivided once in numpy, so the evaluated mesh is known outside
+Blender. Everything else is pieces that know their own place on a bust.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import bpy
+import numpy as np
+
+from assets_procedural import regions, wardrobe
+from assets_procedural.head import Bust, Identity
+from assets_procedural.person import Person
+from assets_procedural.piece import MeshPiece, Piece, StrandPiece
+from assets_procedural.skin import skin_fields
+from assets_procedural.subdivision import Subdivision, catmull_clark
+from synthgen.stage import materials
+from synthgen.stage.hair_colour import strand_colours
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A person on the stage: the skin object, its subdivision, and the pieces with their objects."""
+
+    subdivision: Subdivision
+    skin: bpy.types.Object
+    pieces: list[tuple[Piece, bpy.types.Object]]
+
+
+def build_figure(person: Person, identity: Identity, pieces: list[Piece]) -> Figure:
+    """Create all objects, in the neutral pose; `pose_figure` moves them."""
+    neutral = identity.neutral
+    subdivision, skin = _build_skin(person, identity)
+    figure = Figure(subdivision, skin, [(piece, _build_piece(piece, neutral)) for piece in pieces])
+    pose_figure(figure, neutral)
+    return figure
+
+
+def pose_figure(figure: Figure, bust: Bust) -> None:
+    """Move every object to the bust's pose and write its canonical coordinates."""
+    surface = figure.subdivision.matrix
+    _move(figure.skin.data, surface @ bust.vertices, surface @ bust.canonical.vertices)
+    for piece, object_ in figure.pieces:
+        _move(object_.data, piece.place(bust), piece.place(bust.canonical))
+
+
+def _build_skin(person: Person, identity: Identity) -> tuple[Subdivision, bpy.types.Object]:
+    model = identity.model
+    shown = ~wardrobe.covered_skin(person, identity)
+    quads = model.faces["skin"][shown]
+    subdivision = catmull_clark(quads, len(model.template))
+    fields = skin_fields(person, model)
+    vertex = {
+        name: subdivision.matrix @ getattr(fields, name)
+        for name in ("colour", "roughness", "lips", "freckles", "wrinkles", "pores", "stubble")
+    }
+    vertex["rest"] = subdivision.matrix @ model.template
+    part = np.repeat(regions.part_labels(model)[shown], 4)
+    uv = subdivision.corner_values(model.uv["skin"][shown])
+    mesh = _mesh("skin", subdivision.matrix @ identity.rest, subdivision.faces, uv, vertex, part)
+    mesh.materials.append(materials.skin(person.skin))
+    return subdivision, _link(mesh)
+
+
+def _build_piece(piece: Piece, bust: Bust) -> bpy.types.Object:
+    if isinstance(piece, StrandPiece):
+        return _build_strands(piece, bust)
+    vertices = piece.place(bust)
+    mesh = _mesh(piece.name, vertices, piece.faces, piece.uv, piece.vertex, piece.part)
+    mesh.shade_smooth() if piece.smooth else mesh.shade_flat()
+    mesh.materials.append(materials.surface(piece.material, piece.parameters, None))
+    object_ = _link(mesh)
+    object_["hidden_from_labels"] = piece.hidden_from_labels
+    return object_
+
+
+def _build_strands(piece: StrandPiece, bust: Bust) -> bpy.types.Object:
+    strands, points = piece.radius.shape
+    curves = bpy.data.hair_curves.new(piece.name)
+    curves.add_curves([points] * strands)
+    _attribute(curves, "radius", "FLOAT", "POINT", piece.radius)
+    _attribute(curves, "colour", "FLOAT_COLOR", "CURVE", strand_colours(piece))
+    curves.materials.append(materials.hair(piece.parameters.get("roughness", 0.3), piece.part))
+    return _link(curves)
+
+
+def _mesh(
+    name: str,
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    uv: np.ndarray | None,
+    vertex: dict[str, np.ndarray],
+    part: int | np.ndarray,
+) -> bpy.types.Mesh:
+    count, corners = faces.shape
+    mesh = bpy.data.meshes.new(name)
+    mesh.vertices.add(len(vertices))
+    mesh.loops.add(faces.size)
+    mesh.polygons.add(count)
+    mesh.vertices.foreach_set("co", np.ascontiguousarray(vertices, np.float32).ravel())
+    mesh.loops.foreach_set("vertex_index", np.ascontiguousarray(faces, np.int32).ravel())
+    mesh.polygons.foreach_set("loop_start", np.arange(0, faces.size, corners, dtype=np.int32))
+    mesh.update(calc_edges=True)
+    if mesh.validate():
+        raise ValueError(f"piece {name!r} has degenerate or duplicate faces")
+    mesh.shade_smooth()
+    if uv is not None:
+        layer = mesh.uv_layers.new(name="UVMap")
+        layer.uv.foreach_set("vector", np.ascontiguousarray(uv, np.float32).ravel())
+    for attribute, values in vertex.items():
+        kind = "FLOAT" if values.ndim == 1 else "FLOAT_VECTOR"
+        _attribute(mesh, attribute, kind, "POINT", values)
+    labels = np.broadcast_to(np.asarray(part, np.float32), (count,))
+    _attribute(mesh, "part", "FLOAT", "FACE", labels)
+    return mesh
+
+
+def _attribute(data: bpy.types.ID, name: str, kind: str, domain: str, values: np.ndarray) -> None:
+    attribute = data.attributes.get(name) or data.attributes.new(name, kind, domain)
+    field = {"FLOAT": "value", "FLOAT_VECTOR": "vector", "FLOAT_COLOR": "color"}[kind]
+    attribute.data.foreach_set(field, np.ascontiguousarray(values, np.float32).ravel())
+
+
+def _move(data: bpy.types.ID, positions: np.ndarray, canonical: np.ndarray) -> None:
+    _attribute(data, "position", "FLOAT_VECTOR", "POINT", positions)
+    _attribute(data, "canonical", "FLOAT_VECTOR", "POINT", canonical)
+    data.update_tag()
+    if isinstance(data, bpy.types.Mesh):
+        data.update()
+
+
+def _link(data: bpy.types.ID) -> bpy.types.Object:
+    object_ = bpy.data.objects.new(data.name, data)
+    bpy.context.scene.collection.objects.link(object_)
+    return object_

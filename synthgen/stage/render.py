@@ -1,0 +1,174 @@
+"""`render_subject`: a plan becomes shots. The one function that a render worker calls."""
+
+from __future__ import annotations
+
+import time
+from collections import defaultdict
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from assets_procedural import panorama
+from assets_procedural.assembly import pieces
+from assets_procedural.head import Bust, HeadModel, lid_following
+from assets_procedural.landmarks import landmarks
+from synthgen.camera import Camera, resolve
+from synthgen.display import srgb_encode, to_bytes
+from synthgen.job import JobSpec
+from synthgen.plan import ShotPlan, SubjectPlan
+from synthgen.shot import RenderedSubject, Shot, describe
+from synthgen.stage import photograph, scene
+from synthgen.stage.build import build_figure, pose_figure
+from synthgen.stage.geometry import canonical_mesh, control_geometry, frame_of_head, visible
+
+_Beauty = dict[str, list[np.ndarray]]
+
+
+def render_subject(
+    subject: SubjectPlan, job: JobSpec, environments: Path, device: str, threads: int
+) -> RenderedSubject:
+    """Render every shot of a subject.
+
+    `environments` is the folder that holds `<id>.exr`; `device` is cpu, cuda, optix, hip or metal;
+    `threads` 0 takes every core.
+
+    Raises:
+        RuntimeError: the device is not there.
+    """
+    clock = _Clock()
+    with clock("build"):
+        identity = _head_model().identity(subject.person)
+        scene.open_stage(job.resolution, job.samples, device, threads)
+        figure = build_figure(subject.person, identity, pieces(subject.person, identity))
+    by_pose: dict[int, list[ShotPlan]] = defaultdict(list)
+    for shot in subject.shots:
+        by_pose[shot.pose].append(shot)
+
+    shots = {}
+    for pose, taken in by_pose.items():
+        with clock("pose"):
+            bust = identity.pose(subject.poses[pose])
+            pose_figure(figure, bust)
+            centre, height = frame_of_head(bust if subject.kind == "multiview" else identity.neutral)
+            cameras = {
+                s.key: resolve(subject.cameras[s.camera], centre, height, job.resolution)
+                for s in taken
+            }
+        with clock("beauty"):
+            linear = _beauty(subject, job, environments, cameras)
+        scene.set_mode("labels", job.samples)
+        for shot in taken:
+            camera = cameras[shot.key]
+            with clock("labels"):
+                scene.set_camera(camera)
+                labels = scene.shoot_labels(camera)
+            with clock("develop"):
+                shots[shot.key] = _shot(
+                    subject, shot, job, environments, camera, bust, linear[shot.key], labels
+                )
+    share = {name: seconds / len(subject.shots) for name, seconds in clock.seconds.items()}
+    for shot in shots.values():
+        shot.cost = dict(share)
+    return RenderedSubject(
+        shots=[shots[s.key] for s in subject.shots],
+        mesh_glb=canonical_mesh(subject.person, identity, figure),
+        parameters={"person": subject.person.model_dump(mode="json"), "seed": subject.seed},
+    )
+
+
+def _beauty(
+    subject: SubjectPlan, job: JobSpec, environments: Path, cameras: dict[str, Camera]
+) -> _Beauty:
+    scene.set_mode("beauty", job.samples)
+    images: _Beauty = {key: [] for key in cameras}
+    for use in subject.environments:
+        scene.set_light(environments / f"{use.id}.exr", use.rotation)
+        for key, camera in cameras.items():
+            scene.set_camera(camera)
+            images[key].append(scene.shoot_beauty(use.seed))
+    return images
+
+
+def _shot(
+    subject: SubjectPlan,
+    plan: ShotPlan,
+    job: JobSpec,
+    environments: Path,
+    camera: Camera,
+    bust: Bust,
+    linear: list[np.ndarray],
+    labels: scene.Labels,
+) -> Shot:
+    # One matte for all lights: coverage does not depend on them, and more samples smooth it.
+    alpha = np.clip(np.mean([image[..., 3] for image in linear], axis=0), 0, 1)
+    alpha = to_bytes(alpha).astype(np.float32) / 255
+    stops = [use.exposure for use in subject.environments]
+    factors = photograph.exposures(linear, labels.albedo, labels.parts, stops)
+
+    colour = job.image.background_colour
+    distance = float(np.linalg.norm(frame_of_head(bust)[0] - camera.position))
+    pictures = []
+    for image, use, factor in zip(linear, subject.environments, factors, strict=True):
+        background: np.ndarray | tuple[float, float, float] | None = colour
+        if job.image.background == "environment":
+            around = _panorama(environments / f"{use.id}.exr")
+            background = photograph.behind(around, camera, use.rotation, distance)
+        pictures.append(photograph.develop(image[..., :3], alpha, factor, background))
+
+    points = landmarks(bust)
+    pixels, depth = camera.project(points)
+    meta = describe(
+        subject,
+        plan,
+        camera.camera_to_world,
+        camera.intrinsics,
+        (camera.width, camera.height),
+        pixels,
+        visible(pixels, depth, labels.depth),
+    )
+    meta["expression"] = lid_following(bust.pose)
+    meta["exposures"] = factors
+    geometry = control_geometry(bust)
+    meta["joints"] = list(bust.bones)
+    geometry["landmarks"] = points.astype(np.float32)
+    geometry["landmarks_canonical"] = landmarks(bust.canonical).astype(np.float32)
+    return Shot(
+        key=plan.key,
+        rgb=np.stack(pictures),
+        hdr=np.stack(linear).astype(np.float16) if job.image.linear else None,
+        albedo=to_bytes(srgb_encode(labels.albedo)),
+        normal=labels.normal.astype(np.float16),
+        depth=labels.depth.astype(np.float32),
+        uv=labels.uv.astype(np.float32),
+        canonical=labels.canonical.astype(np.float32),
+        alpha=to_bytes(alpha),
+        parts=labels.parts,
+        geometry=geometry,
+        meta=meta,
+    )
+
+
+@lru_cache(maxsize=1)
+def _head_model() -> HeadModel:
+    return HeadModel.load()
+
+
+@lru_cache(maxsize=32)
+def _panorama(path: Path) -> np.ndarray:
+    return panorama.load(path)
+
+
+class _Clock:
+    """Seconds spent under each name."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = defaultdict(float)
+
+    @contextmanager
+    def __call__(self, name: str) -> Iterator[None]:
+        start = time.perf_counter()
+        yield
+        self.seconds[name] += time.perf_counter() - start

@@ -1,0 +1,203 @@
+"""Cycles as two cameras over one scene: a beauty render per light, a label render per view.
+
+The label render sees the same geometry through pixel centres (a box filter of 0.01 pixels, one
+sample, no bounces, no denoising) with thin clear surfaces hidden, so ids are exact and normals are
+unit. Both are written to a scratch EXR and come back as arrays, row 0 at the top.
+"""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import bpy
+import numpy as np
+import OpenEXR
+
+from synthgen.camera import SENSOR_MM, Camera
+from synthgen.stage.materials import LABEL_AOVS
+from synthgen.stage.nodes import Graph
+
+Mode = Literal["beauty", "labels"]
+_BACKGROUND_DEPTH = 1e9
+
+
+@dataclass(frozen=True)
+class Labels:
+    """Label passes of one view; 0 in the background.
+
+    `albedo` (H, W, 3) linear, `normal` (H, W, 3) unit, camera space (OpenGL axes), `canonical`
+    (H, W, 3) and `depth` (H, W) in metres (planar), `uv` (H, W, 2), `parts` (H, W) uint8.
+    """
+
+    albedo: np.ndarray
+    normal: np.ndarray
+    canonical: np.ndarray
+    depth: np.ndarray
+    uv: np.ndarray
+    parts: np.ndarray
+
+
+def open_stage(resolution: int, samples: int, device: str = "cpu", threads: int = 0) -> None:
+    """Reset Blender to an empty scene with a camera, a world and Cycles' settings.
+
+    `threads` 0 lets Cycles take every core. Raises RuntimeError for a device that is not there.
+    """
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    scene.world = bpy.data.worlds.new("world")
+    scene.camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
+    scene.collection.objects.link(scene.camera)
+
+    render = scene.render
+    render.engine = "CYCLES"
+    render.resolution_x = render.resolution_y = resolution
+    render.resolution_percentage = 100
+    render.use_persistent_data = True
+    render.film_transparent = True
+    render.threads_mode = "FIXED" if threads else "AUTO"
+    if threads:
+        render.threads = threads
+    # Strands are thinner than a pixel; ribbons with many segments keep their curves.
+    scene.cycles_curves.shape = "RIBBONS"
+    scene.cycles_curves.subdivisions = 2
+
+    cycles = scene.cycles
+    cycles.device = choose_device(device)
+    cycles.samples = samples
+    cycles.use_adaptive_sampling = False
+    cycles.use_denoising = True
+    cycles.denoiser = "OPENIMAGEDENOISE"
+    cycles.denoising_input_passes = "RGB_ALBEDO_NORMAL"
+    cycles.denoising_prefilter = "ACCURATE"
+    cycles.denoising_quality = "HIGH"
+    cycles.pixel_filter_type = "BLACKMAN_HARRIS"
+    cycles.max_bounces = 6
+    cycles.caustics_reflective = cycles.caustics_refractive = False
+
+    layer = bpy.context.view_layer
+    layer.use_pass_z = True
+    for name in LABEL_AOVS:
+        aov = layer.aovs.add()
+        aov.name = name
+        aov.type = "VALUE" if name == "part" else "COLOR"
+
+    image = render.image_settings
+    image.file_format = "OPEN_EXR_MULTILAYER"
+    image.color_depth = "32"
+    image.exr_codec = "NONE"
+
+
+def choose_device(device: str) -> Literal["CPU", "GPU"]:
+    """Point Cycles at a device: cpu, cuda, optix, hip or metal.
+
+    Raises RuntimeError naming what was found where the device is not there.
+    """
+    if device == "cpu":
+        return "CPU"
+    preferences = bpy.context.preferences.addons["cycles"].preferences
+    found = [d for d in preferences.get_devices_for_type(device.upper()) if d.type != "CPU"]
+    if not found:
+        raise RuntimeError(f"no {device} device was found; use --device cpu")
+    preferences.compute_device_type = device.upper()
+    for entry in preferences.devices:
+        entry.use = entry.type == device.upper()
+    return "GPU"
+
+
+def set_light(panorama: Path, rotation: float) -> None:
+    """Light the stage by an equirectangular file turned by `rotation` radians about +Z."""
+    world = bpy.context.scene.world
+    # Set before the first render: later changes of the importance map have no effect.
+    world.cycles.sampling_method = "MANUAL"
+    world.cycles.sample_map_resolution = 512
+    graph = Graph(world)
+    direction = graph.node("TexCoord").outputs["Generated"]
+    turned = graph.node("Mapping", {"Vector": direction}, vector_type="TEXTURE")
+    turned.inputs["Rotation"].default_value = (0.0, 0.0, rotation)
+    image = bpy.data.images.load(str(panorama), check_existing=True)
+    image.colorspace_settings.name = "Linear Rec.709"
+    inputs = {"Vector": turned.outputs[0]}
+    texture = graph.node("TexEnvironment", inputs, image=image, interpolation="Cubic")
+    background = graph.node("Background", {"Color": texture.outputs["Color"]})
+    graph.node("OutputWorld", {"Surface": background.outputs[0]})
+
+
+def set_camera(camera: Camera) -> None:
+    """Look through a pinhole camera whose principal point is the image's middle."""
+    viewer = bpy.context.scene.camera
+    viewer.matrix_world = camera.camera_to_world.T
+    viewer.data.sensor_width = SENSOR_MM
+    viewer.data.lens = camera.focal_mm
+    viewer.data.clip_start, viewer.data.clip_end = 0.01, 100.0
+
+
+def set_mode(mode: Mode, samples: int) -> None:
+    """Prepare for beauty renders with `samples` per pixel, or for label renders."""
+    scene = bpy.context.scene
+    labels = mode == "labels"
+    scene.cycles.samples = 1 if labels else samples
+    scene.cycles.use_denoising = not labels
+    scene.cycles.filter_width = 0.01 if labels else 1.5
+    scene.cycles.max_bounces = 0 if labels else 6
+    for clear in bpy.data.objects:
+        if clear.get("hidden_from_labels"):
+            clear.hide_render = labels
+
+
+def shoot_beauty(seed: int) -> np.ndarray:
+    """Render the current view: (H, W, 4) linear Rec.709, premultiplied, clamped to finite halfs."""
+    bpy.context.scene.cycles.seed = seed
+    image = _render()["Combined"]
+    return np.clip(np.nan_to_num(image), 0, 65000)
+
+
+def shoot_labels(camera: Camera) -> Labels:
+    """Render the label passes of the current view, which must be `camera`'s."""
+    bpy.context.scene.cycles.seed = 0
+    passes = _render()
+    parts = np.rint(passes["part"]).astype(np.uint8)
+    depth = passes["Depth"]
+    seen = (parts > 0) & (depth < _BACKGROUND_DEPTH)
+
+    def keep(image: np.ndarray) -> np.ndarray:
+        return np.where(seen[..., None] if image.ndim == 3 else seen, image, 0)
+
+    normal = passes["normal_world"][..., :3] @ camera.camera_to_world[:3, :3]
+    length = np.linalg.norm(normal, axis=-1, keepdims=True)
+    return Labels(
+        albedo=keep(np.clip(passes["albedo"][..., :3], 0, 1)),
+        normal=keep(normal / np.maximum(length, 1e-6)),
+        canonical=keep(passes["canonical"][..., :3]),
+        depth=keep(depth),
+        uv=keep(passes["texture"][..., :2]),
+        parts=keep(parts),
+    )
+
+
+def _render() -> dict[str, np.ndarray]:
+    """Render once and return every pass by name: (H, W) or (H, W, C) float32."""
+    with tempfile.TemporaryDirectory(prefix="stage-") as folder:
+        path = Path(folder) / "passes.exr"
+        bpy.context.scene.render.filepath = str(path)
+        bpy.ops.render.render(write_still=True)
+        with OpenEXR.File(str(path), separate_channels=True) as file:
+            channels = {name: c.pixels for name, c in file.channels().items()}
+    passes: dict[str, np.ndarray] = {}
+    groups: dict[str, dict[str, np.ndarray]] = {}
+    for name, pixels in channels.items():
+        *_, group, component = name.split(".")
+        groups.setdefault(group, {})[component] = pixels
+    for group, components in groups.items():
+        order = "RGBA" if "R" in components else "XYZV"
+        planes = [components[c] for c in order if c in components]
+        passes[group] = planes[0] if len(planes) == 1 else np.stack(planes, axis=-1)
+    return passes
+
+
+def field_of_view(camera: Camera) -> float:
+    """Horizontal field of view in radians."""
+    return 2 * math.atan(camera.width / 2 / float(camera.intrinsics[0, 0]))

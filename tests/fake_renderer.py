@@ -1,0 +1,128 @@
+"""A renderer without Blender: the head is a sphere, with true depth, normals and landmarks.
+
+Named to workers as "tests.fake_renderer:render_subject". `TROUBLE`, an environment variable with
+JSON {subject key: kind}, makes subjects crash, hang, raise, break the gate or fill the disk; with
+a "<kind> once" only the first attempt fails.
+"""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import signal
+import time
+from pathlib import Path
+
+import numpy as np
+
+from synthgen.camera import resolve
+from synthgen.job import JobSpec
+from synthgen.plan import ShotPlan, SubjectPlan
+from synthgen.shot import RenderedSubject, Shot, describe
+
+CENTRE, RADIUS = np.array([0.0, 0.0, 0.65]), 0.11
+
+
+def render_subject(
+    subject: SubjectPlan, job: JobSpec, environments: Path, device: str, threads: int
+) -> RenderedSubject:
+    spoil = _trouble(subject, environments.parent)
+    time.sleep(float(os.environ.get("FAKE_SECONDS", "0")))
+    shots = [_shot(subject, shot, job) for shot in subject.shots]
+    if spoil == "gate":
+        shots[-1].depth[:] = np.nan
+    return RenderedSubject(shots, b"glTF" + subject.key.encode(), {"seed": subject.seed})
+
+
+def _trouble(subject: SubjectPlan, out: Path) -> str:
+    kind = json.loads(os.environ.get("TROUBLE", "{}")).get(subject.key, "")
+    if kind.endswith(" once"):
+        marker = out / "work" / f"{subject.subset}-{subject.key}.tripped"
+        if marker.exists():
+            return ""
+        marker.touch()
+        kind = kind.removesuffix(" once")
+    if kind == "crash":
+        os.kill(os.getpid(), signal.SIGKILL)
+    elif kind == "hang":
+        time.sleep(3600)
+    elif kind == "raise":
+        raise RuntimeError("no hair left\nand a second line")
+    elif kind == "full":
+        raise OSError(errno.ENOSPC, "No space left on device")
+    return kind
+
+
+def _shot(subject: SubjectPlan, plan: ShotPlan, job: JobSpec) -> Shot:
+    size = job.resolution
+    camera = resolve(subject.cameras[plan.camera], CENTRE, 2 * RADIUS, size)
+    # Rays with planar depth 1, in world axes; the nearer of the two intersections.
+    ray = camera.unproject(camera.pixel_centres(), np.ones((size, size))) - camera.position
+    offset = camera.position - CENTRE
+    a, b = (ray**2).sum(-1), (ray @ offset)
+    discriminant = b**2 - a * (offset @ offset - RADIUS**2)
+    mask = discriminant > 0
+    depth = np.where(mask, (-b - np.sqrt(np.maximum(discriminant, 0))) / a, 0)
+    point = camera.position + ray * depth[..., None]
+    outward = np.where(mask[..., None], (point - CENTRE) / RADIUS, 0)
+    rotation = camera.camera_to_world[:3, :3]
+    rng = np.random.default_rng(plan.seed)
+    landmarks = _landmarks(camera.position)
+    pixels, _ = camera.project(landmarks)
+    visible = ((landmarks - CENTRE) * (camera.position - landmarks)).sum(-1) > 0
+    alpha = np.where(mask, 255, 0).astype(np.uint8)
+    tone = np.array(subject.person.eyes.iris) + 0.2
+    images, linear = [], []
+    for use in subject.environments:
+        light = np.array([np.cos(use.rotation), np.sin(use.rotation), 0.5])
+        shade = np.clip(outward @ light, 0, None)[..., None] * tone + 0.05
+        shade += 0.02 * rng.random(shade.shape)
+        linear.append(np.concatenate([shade, np.ones((size, size, 1))], -1) * mask[..., None])
+        picture = np.where(mask[..., None], shade, 0.5)
+        images.append((np.clip(picture, 0, 1) * 255).astype(np.uint8))
+    meta = describe(
+        subject,
+        plan,
+        camera.camera_to_world,
+        camera.intrinsics,
+        (camera.width, camera.height),
+        pixels,
+        visible,
+    )
+    meta["joints"] = ["head"]
+    points = (landmarks - CENTRE).astype(np.float32)
+    geometry = {
+        "landmarks": landmarks.astype(np.float32),
+        "landmarks_canonical": points,
+        "control_points": landmarks.astype(np.float32),
+        "control_points_canonical": points,
+        "control_normals": points / np.float32(RADIUS),
+        "control_normals_canonical": points / np.float32(RADIUS),
+        "joints": np.eye(4, dtype=np.float32)[None],
+    }
+    return Shot(
+        key=plan.key,
+        rgb=np.stack(images),
+        hdr=np.stack(linear).astype(np.float16) if job.image.linear else None,
+        albedo=(np.where(mask[..., None], tone, 0).clip(0, 1) * 255).astype(np.uint8),
+        normal=(outward @ rotation).astype(np.float16),
+        depth=depth.astype(np.float32),
+        uv=(outward[..., :2] * 0.5 + 0.5 * mask[..., None]).astype(np.float32),
+        canonical=(outward * RADIUS).astype(np.float32),
+        alpha=alpha,
+        parts=np.where(mask, 1 + (outward[..., 2] > 0.5) * 12, 0).astype(np.uint8),
+        geometry=geometry,
+        meta=meta,
+        cost={"beauty": 0.01, "labels": 0.002},
+    )
+
+
+def _landmarks(eye: np.ndarray) -> np.ndarray:
+    """(70, 3) points on the front of the sphere (the head looks along -Y)."""
+    golden = np.pi * (3 - np.sqrt(5))
+    k = np.arange(70)
+    out = 1 - 0.9 * (k + 0.5) / 70
+    ring = np.sqrt(1 - out**2)
+    offsets = np.stack([ring * np.cos(golden * k), -out, ring * np.sin(golden * k)], -1)
+    return CENTRE + RADIUS * offsets
