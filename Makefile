@@ -1,58 +1,69 @@
 # make demo   sets everything up, renders render_jobs/demo.toml, verifies it, prints its contact sheet
 # make test   sets everything up, checks and tests everything
 # make lint   format, lint, types, import rules
-# make setup  only the set-up: .venv with everything in it
+# make setup  only the set-up: .venv with all that rendering takes
 #
 # PYTHON names another interpreter (it must be 3.11: Blender's wheel is built for that one).
 
 PYTHON ?= python3.11
+OUT    ?= out/demo
 VENV   := .venv
 BIN    := $(VENV)/bin
-OUT    ?= out/demo
-# CPU builds of torch are a tenth of the size; where this index cannot be reached, any build serves.
-TORCH_CPU := https://download.pytorch.org/whl/cpu
+PIP    := $(BIN)/pip --disable-pip-version-check install --progress-bar off
+# CPU builds of torch are a tenth of the size. Where this index cannot be reached, any build serves.
+TORCH_CPU := --timeout 15 --retries 1 --extra-index-url https://download.pytorch.org/whl/cpu
 
 .PHONY: demo test lint setup clean
 .DELETE_ON_ERROR:
 
-setup: $(VENV)/.installed
+setup: $(VENV)/.head
 
 $(VENV)/bin/python:
 	@command -v $(PYTHON) >/dev/null || { \
-	  echo "make: $(PYTHON) not found: install Python 3.11, or make PYTHON=/path/to/it"; exit 2; }
-	@echo "== making $(VENV) with $$($(PYTHON) --version)"
+	  echo "$(PYTHON) not found: install Python 3.11, or say make PYTHON=/path/to/it"; exit 2; }
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))' || { \
+	  echo "$(PYTHON) is not Python 3.11, which Blender's wheel is built for"; exit 2; }
+	@echo "== making $(VENV)"
 	@$(PYTHON) -m venv $(VENV)
 
-$(VENV)/.torch: $(VENV)/bin/python
-	@echo "== installing torch (a CPU build where one can be found)"
-	@$(BIN)/python -c "import torch" 2>/dev/null \
-	  || $(BIN)/pip install --quiet --disable-pip-version-check --progress-bar off \
-	       --index-url $(TORCH_CPU) 'torch==2.13.0' 2>/dev/null \
-	  || $(BIN)/pip install --disable-pip-version-check --progress-bar off 'torch==2.13.0' \
-	  || $(BIN)/pip install --disable-pip-version-check --progress-bar off 'torch>=2.6,<2.14'
+$(VENV)/.torch: | $(VENV)/bin/python
+	@echo "== installing torch (about 200 MB, once)"
+	@$(BIN)/python -c 'import torch' 2>/dev/null \
+	  || $(PIP) $(TORCH_CPU) torch==2.13.0 || $(PIP) 'torch>=2.6,<2.14'
 	@touch $@
 
-$(VENV)/.installed: $(VENV)/.torch pyproject.toml
-	@echo "== installing Blender, the head model and the tools (about 1 GB, once)"
-	@$(BIN)/pip install --disable-pip-version-check --progress-bar off --quiet -e '.[render,dev]'
+$(VENV)/.render: $(VENV)/.torch pyproject.toml
+	@echo "== installing Blender, the head model and what they need (about 600 MB, once)"
+	@$(PIP) --editable '.[render]'
+	@touch $@
+
+$(VENV)/.dev: $(VENV)/.render
+	@echo "== installing the tools that tests take (once)"
+	@$(PIP) --editable '.[render,dev]'
+	@touch $@
+
+$(VENV)/.head: $(VENV)/.render
+	@echo "== preparing the head model (about a minute, once)"
+	@$(BIN)/python -c 'from assets_procedural.head import HeadModel; HeadModel.load()'
 	@touch $@
 
 demo: setup
 	@echo "== rendering render_jobs/demo.toml into $(OUT)"
 	@$(BIN)/synthgen render render_jobs/demo.toml --out $(OUT)
-	@echo "== verifying $(OUT)"
+	@echo "== verifying it"
 	@$(BIN)/synthgen verify $(OUT)
+	@echo "== drawing its contact sheet"
 	@$(BIN)/synthgen sheet $(OUT) --output $(OUT).png
 
-lint: setup
+lint: $(VENV)/.dev
 	@echo "== format and lint (ruff)"
-	@$(BIN)/ruff format --check --quiet . && $(BIN)/ruff check --quiet .
+	@$(BIN)/ruff format --check . && $(BIN)/ruff check .
 	@echo "== types (pyright)"
 	@$(BIN)/pyright
 	@echo "== import rules (import-linter)"
 	@$(BIN)/lint-imports
 
-test: lint
+test: setup lint
 	@echo "== tests (pytest)"
 	@$(BIN)/pytest
 

@@ -113,9 +113,9 @@ def _convolve(image: np.ndarray, kernel: np.ndarray) -> np.ndarray:
     reach = kernel.shape[0] // 2
     padded = np.pad(image, ((reach, reach), (reach, reach), (0, 0)), mode="edge")
     shape = [fft.next_fast_len(n, real=True) for n in padded.shape[:2]]
-    spectrum = fft.rfft2(padded, s=shape, axes=(0, 1))
-    spectrum *= fft.rfft2(kernel, s=shape)[..., None]
-    blurred = fft.irfft2(spectrum, s=shape, axes=(0, 1))
+    kernel_spectrum = np.asarray(fft.rfft2(kernel, s=shape))[..., None]
+    spectrum = np.asarray(fft.rfft2(padded, s=shape, axes=(0, 1))) * kernel_spectrum
+    blurred = np.asarray(fft.irfft2(spectrum, s=shape, axes=(0, 1)))
     start = 2 * reach
     # The transform leaves rounding noise below zero next to very bright lights.
     return np.maximum(blurred[start : start + image.shape[0], start : start + image.shape[1]], 0.0)

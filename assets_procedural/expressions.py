@@ -10,17 +10,17 @@ import numpy as np
 Actions = dict[str, float]
 
 EXPRESSIONS: dict[str, Actions] = {
-    "smile": {"mouthSmile": 0.75, "cheekSquint": 0.4, "eyeSquint": 0.25, "mouthDimple": 0.2},
+    "smile": {"mouthSmile": 0.9, "cheekSquint": 0.4, "eyeSquint": 0.25, "mouthDimple": 0.2},
     "grin": {
-        "mouthSmile": 0.9, "cheekSquint": 0.6, "eyeSquint": 0.4, "jawOpen": 0.12,
-        "mouthUpperUp": 0.3, "mouthLowerDown": 0.2, "mouthStretch": 0.15,
+        "mouthSmile": 1.0, "cheekSquint": 0.6, "eyeSquint": 0.4, "jawOpen": 0.12,
+        "mouthUpperUp": 0.45, "mouthLowerDown": 0.3, "mouthStretch": 0.2,
     },
     "laugh": {
-        "mouthSmile": 0.95, "cheekSquint": 0.8, "eyeSquint": 0.65, "jawOpen": 0.42,
-        "mouthUpperUp": 0.4, "mouthLowerDown": 0.35, "browOuterUp": 0.2, "noseSneer": 0.15,
+        "mouthSmile": 1.0, "cheekSquint": 0.8, "eyeSquint": 0.65, "jawOpen": 0.5,
+        "mouthUpperUp": 0.5, "mouthLowerDown": 0.35, "browOuterUp": 0.2, "noseSneer": 0.15,
     },
     "smirk": {
-        "mouthSmileLeft": 0.65, "mouthSmileRight": 0.1, "mouthDimpleLeft": 0.4, "mouthLeft": 0.15,
+        "mouthSmileLeft": 0.85, "mouthSmileRight": 0.1, "mouthDimpleLeft": 0.4, "mouthLeft": 0.15,
         "cheekSquintLeft": 0.35, "browOuterUpLeft": 0.2, "eyeSquint": 0.15,
     },
     "sad": {
@@ -70,7 +70,7 @@ EXPRESSIONS: dict[str, Actions] = {
         "browDown": 0.2,
     },
     "kiss": {"mouthPucker": 0.9, "mouthFunnel": 0.2, "eyeSquint": 0.2, "eyeBlink": 0.2},
-    "puffed": {"cheekPuff": 0.9, "mouthPress": 0.5, "mouthClose": 0.0, "browOuterUp": 0.25},
+    "puffed": {"cheekPuff": 0.9, "mouthPress": 0.5, "browOuterUp": 0.25},
     "sleepy": {"eyeBlink": 0.45, "browInnerUp": 0.3, "jawOpen": 0.06, "browOuterUp": 0.15},
     "grimace": {
         "mouthStretch": 0.8, "mouthLowerDown": 0.45, "mouthUpperUp": 0.25, "eyeSquint": 0.5,

@@ -70,13 +70,13 @@ SPREAD: dict[str, float] = {
     "mouth-scale-vert-incr": 0.22,
     "mouth-trans-up": 0.22,
     "mouth-trans-forward": 0.18,
-    "mouth-upperlip-height-incr": 0.35,
+    "mouth-upperlip-height-incr": 0.22,
     "mouth-lowerlip-height-incr": 0.28,
-    "mouth-upperlip-volume-incr": 0.35,
-    "mouth-lowerlip-volume-incr": 0.3,
+    "mouth-upperlip-volume-incr": 0.22,
+    "mouth-lowerlip-volume-incr": 0.22,
     "mouth-upperlip-width-incr": 0.22,
     "mouth-lowerlip-width-incr": 0.2,
-    "mouth-cupidsbow-incr": 0.35,
+    "mouth-cupidsbow-incr": 0.25,
     "mouth-cupidsbow-width-incr": 0.35,
     "mouth-philtrum-volume-incr": 0.35,
     "mouth-angles-up": 0.22,
@@ -105,16 +105,16 @@ SPREAD: dict[str, float] = {
     "neck-scale-depth-incr": 0.15,
     "neck-double-incr": 0.2,
 }
-"""Standard deviation of each change: 1 to 4 mm at the most moved vertex, as faces vary."""
+"""Standard deviation of each change: 1 to 4 mm at the most moved vertex, as faces vary; less for
+lips, which would pass through each other or bare the teeth."""
 
 ANCESTRY_MEAN: dict[str, dict[str, float]] = {
     "african": {
         "nose-scale-horiz-incr": 0.2,
         "nose-flaring-incr": 0.15,
         "nose-greek-incr": -0.2,
-        "mouth-upperlip-volume-incr": 0.3,
-        "mouth-lowerlip-volume-incr": 0.3,
-        "mouth-upperlip-height-incr": 0.2,
+        "mouth-upperlip-volume-incr": 0.12,
+        "mouth-lowerlip-volume-incr": 0.12,
         "mouth-trans-forward": 0.12,
     },
     "asian": {
@@ -124,6 +124,9 @@ ANCESTRY_MEAN: dict[str, dict[str, float]] = {
         "nose-greek-incr": -0.25,
         "±cheek-bones-incr": 0.25,
         "head-scale-depth-incr": -0.12,
+        # The pole's own lips do not quite meet: fuller ones close them.
+        "mouth-upperlip-volume-incr": 0.35,
+        "mouth-lowerlip-volume-incr": 0.45,
     },
     "caucasian": {
         "nose-greek-incr": 0.15,

@@ -20,6 +20,7 @@ from assets_procedural.strands import (
     SkinBound,
     clump,
     colouring,
+    locks,
     sample_roots,
     smoothstep,
     tapered,
@@ -81,7 +82,7 @@ def brows(person: Person, identity: Identity, rng: np.random.Generator) -> list[
         flow = np.stack([sign * np.cos(angle), np.full(len(x), -0.05), np.sin(angle)], axis=1)
         length = rng.uniform(0.0045, 0.0085, len(x)) * (1 - 0.35 * along)
         strands = _lying(identity, roots, flow, length, 6, lift=0.35, hug=0.0007)
-        strands = clump(strands, np.ones(len(x), int), 5, 0.3, rng)
+        strands = _locked(strands, 5, 0.3, rng)
         strands = wander(strands, 0.00035, rng)
         radius = tapered(len(x), 6, 4.6e-5, 1.2e-5, rng)
         grey = float(np.clip(person.hair.grey * 1.1 - 0.35, 0, 1))
@@ -129,7 +130,7 @@ def lashes(person: Person, identity: Identity, rng: np.random.Generator) -> list
             curl = rng.uniform(0.6, 0.85, (count, 1, 1))
             strands = reach * (out[:, None] * (along - 0.25 * curl * along**2) + bend * curl * along**2)
             strands = roots.of(identity.rest)[:, None] + strands
-            tips = clump(strands, np.ones(count, int), 3, 0.55, rng)
+            tips = _locked(strands, 3, 0.55, rng)
             all_roots.append(roots)
             all_strands.append(tips)
     roots = Roots(
@@ -157,7 +158,7 @@ def beard(person: Person, identity: Identity, rng: np.random.Generator) -> list[
     if style == "none":
         return []
     density = _beard_density(person, identity)
-    counts = {"stubble": 9000, "moustache": 1900, "goatee": 3800, "full": 11000}
+    counts = {"stubble": 22000, "moustache": 2600, "goatee": 5200, "full": 16000}
     count = int(counts[style] * (0.5 + 0.5 * person.beard.density))
     roots = sample_roots(identity, density, count, rng)
     at = roots.of(identity.model.template)
@@ -179,9 +180,10 @@ def beard(person: Person, identity: Identity, rng: np.random.Generator) -> list[
     flow = unit(flow + rng.normal(0, 0.22, (count, 3)))
     strands = _lying(identity, roots, flow, length, points, lift=0.5, hug=0.0)
     if style != "stubble":
-        strands = clump(strands, side.astype(int), 14, 0.35, rng)
+        strands = _locked(strands, 14, 0.35, rng)
         strands = wander(strands, 0.12 * length, rng)
-    radius = tapered(count, points, 5.5e-5, 2.2e-5, rng)
+    root = 8e-5 if style == "stubble" else 5.5e-5
+    radius = tapered(count, points, root, 0.4 * root, rng)
     grey = float(np.clip(person.hair.grey * 1.15, 0, 1))
     shading = colouring(
         person.hair.melanin, min(person.hair.redness * 1.3 + 0.1, 1), grey, count, rng, 0.4
@@ -234,6 +236,13 @@ def _beard_density(person: Person, identity: Identity) -> Callable:
         return grown * skin * facing
 
     return density
+
+
+def _locked(
+    strands: np.ndarray, size: float, strength: float, rng: np.random.Generator
+) -> np.ndarray:
+    leader = locks(strands[:, 0], np.ones(len(strands), int), size, rng)
+    return clump(strands, leader, strength)
 
 
 def _lying(

@@ -21,8 +21,8 @@ from assets_procedural.subdivision import catmull_clark
 COUNT = 70
 PUPILS = {"eye_right": 68, "eye_left": 69}
 
-# Landmark → base.obj id on the midline or the subject's left half, or the two ids of an edge whose
-# midpoint it is. The right half mirrors them.
+# Landmark → base.obj id on the midline or the subject's left half, or the ids of an edge's ends
+# whose midpoint it is. The right half mirrors them.
 _LEFT_HALF: dict[int, int | tuple[int, int]] = {
     # Jaw: under the chin, along the mandible, in front of the ear up to the height of the eye.
     8: 5296,
@@ -34,20 +34,20 @@ _LEFT_HALF: dict[int, int | tuple[int, int]] = {
     14: 11713,
     15: (7564, 12010),
     16: 12001,
-    # Brow: along its middle, from the nose.
-    22: 6984,
-    23: (6956, 6980),
-    24: (6979, 6996),
-    25: (6998, 6999),
-    26: (7023, 7024),
+    # Brow: along the middle of its hair, from the nose.
+    22: (6983, 7001),
+    23: (6980, 6997),
+    24: (7002, 7004),
+    25: (7004, 7005),
+    26: 11869,
     # Nose: nasion, down the ridge to the tip; columella, sill and wing.
-    27: 133,
-    28: (131, 5063),
+    27: 132,
+    28: 131,
     29: 201,
     30: 5054,
     33: 317,
     34: 7054,
-    35: 7119,
+    35: 7088,
     # Eye: the middle of the lid margin, from the inner corner over the upper lid.
     42: 6853,
     43: 13359,
@@ -58,15 +58,15 @@ _LEFT_HALF: dict[int, int | tuple[int, int]] = {
     # Lips: border of the vermilion, then where the lips part.
     51: 455,
     52: 7215,
-    53: 7170,
-    54: 7162,
-    55: 7166,
+    53: (11956, 7170),
+    54: 7182,
+    55: (7235, 7166),
     56: (7241, 7235),
     57: 492,
     62: 474,
-    63: 7226,
+    63: 7227,
     64: 7191,
-    65: 7265,
+    65: (7264, 7265),
     66: 523,
 }
 
@@ -107,9 +107,9 @@ def skin_weights(model: HeadModel) -> sparse.csr_matrix:
     """(68, V): the landmarks on the skin as linear combinations of the model's vertices."""
     surface = catmull_clark(model.faces["skin"], len(model.template)).matrix
     opposite = mirror(model)
-    rows: list[sparse.csr_matrix] = [sparse.csr_matrix((0, 0))] * 68
+    weights = np.zeros((68, len(model.template)))
     for landmark, place in _LEFT_HALF.items():
         ids = from_base(model, np.atleast_1d(place))
-        rows[landmark] = surface[ids].mean(axis=0)
-        rows[FLIP[landmark]] = surface[opposite[ids]].mean(axis=0)
-    return sparse.csr_matrix(np.concatenate(rows))
+        weights[landmark] = surface[ids].toarray().mean(axis=0)
+        weights[FLIP[landmark]] = surface[opposite[ids]].toarray().mean(axis=0)
+    return sparse.csr_matrix(weights)

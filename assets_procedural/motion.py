@@ -50,7 +50,7 @@ class PoseSettings(Settings):
     """Distribution of expressions, gaze and head poses; degrees, intervals (low, high)."""
 
     expression: float = Field(default=0.7, ge=0.0, le=1.0)
-    """Strength of the strongest expressions; 0 keeps every face neutral."""
+    """Typical strength against the full archetypes; 0 keeps every face neutral."""
     neutral: float = Field(default=0.15, ge=0.0, le=1.0)
     """Probability of a relaxed face (it still blinks and looks around)."""
     talking: float = Field(default=0.25, ge=0.0, le=1.0)
@@ -119,7 +119,7 @@ def sample_track(rng: np.random.Generator, frames: int, settings: PoseSettings) 
 
 
 def _draw_strength(rng: np.random.Generator) -> float:
-    return float(0.3 + 0.8 * rng.beta(1.8, 1.5))
+    return float(0.45 + 1.05 * rng.beta(1.8, 1.5))
 
 
 def _draw_bias(rng: np.random.Generator) -> dict[str, float]:
@@ -208,13 +208,13 @@ def _expression_track(
     bias: dict[str, float],
 ) -> np.ndarray:
     """(T, 52)"""
-    starts = _event_times(rng, time[-1], 0.7, 1.6)
+    starts = _event_times(rng, time[-1], 0.5, 1.2)
     starts = np.append(starts, starts[-1] + 1.0)
     actions: list[Actions] = []
     for _ in starts:
         if rng.random() < settings.neutral:
             actions.append({})
-        elif actions and rng.random() < 0.3:  # the same expression, stronger or weaker
+        elif actions and rng.random() < 0.2:  # the same expression, stronger or weaker
             actions.append(blend((float(rng.uniform(0.4, 1.3)), actions[-1])))
         else:
             strength = settings.expression * _draw_strength(rng)
@@ -237,11 +237,11 @@ def _expression_track(
 
 def _head_track(rng: np.random.Generator, time: np.ndarray, settings: PoseSettings) -> np.ndarray:
     """(T, 3) pitch, roll, yaw: key turns with ease and a slow sway, inside the intervals."""
-    starts = _event_times(rng, time[-1], 0.9, 2.2)
+    starts = _event_times(rng, time[-1], 0.7, 1.7)
     starts = np.append(starts, starts[-1] + 1.0)
     keys = [_draw_head(rng, settings)]
     for _ in starts[1:]:
-        keys.append(keys[-1] + rng.uniform(0.25, 0.8) * (_draw_head(rng, settings) - keys[-1]))
+        keys.append(keys[-1] + rng.uniform(0.35, 0.95) * (_draw_head(rng, settings) - keys[-1]))
     head = _ease(time, starts, np.array(keys), 1.0)
     for _ in range(3):
         hertz, phase = rng.uniform(0.15, 0.6), rng.uniform(0.0, 2.0 * np.pi, 3)

@@ -34,7 +34,7 @@ def mouth(person: Person, identity: Identity) -> list[MeshPiece]:
     """
     rng = np.random.default_rng([person.skin.seed, 7])
     age = np.clip((person.age_years - 18) / 60, 0, 1)
-    shade = np.array([0.76, 0.71, 0.61]) * (1 - age * np.array([0.14, 0.19, 0.32]))
+    shade = np.array([0.68, 0.62, 0.51]) * (1 - age * np.array([0.14, 0.19, 0.32]))
     shade = shade * (1 + rng.normal(0, 0.03))
     melanin = person.skin.melanin
     gum = np.array([0.52, 0.19, 0.17]) * (1 - 0.35 * melanin)
@@ -85,7 +85,7 @@ def jaw_motion(bust: Bust) -> np.ndarray:
     """(4, 4) rigid motion of the lower jaw in the unposed head, from rest.
 
     The rotation is the best fit to the head model's own lower teeth; sideways and forward shifts,
-    which leave those teeth alone, are the tongue's.
+    which leave those teeth alone, are those of the lower lip's wet side.
     """
     model, rest = bust.model, bust.identity.rest
     group = model.groups["teeth_lower"]
@@ -99,7 +99,7 @@ def jaw_motion(bust: Bust) -> np.ndarray:
         value = bust.pose.expression.get(name, 0.0)
         if value:
             shape = model.arrays["facial/shapes"][model.expression_names.index(name)]
-            motion[:3, 3] += value * shape[model.groups["tongue"]].mean(axis=0)
+            motion[:3, 3] += value * shape[_base(model, _LOWER_WALL)].mean(axis=0)
     return motion
 
 

@@ -10,7 +10,7 @@ from collections import defaultdict
 from functools import lru_cache
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from assets_procedural.head import HeadModel
 from assets_procedural.piece import Part
@@ -80,65 +80,22 @@ def part_labels(model: HeadModel) -> np.ndarray:
 def fields(model: HeadModel) -> dict[str, np.ndarray]:
     """Smooth fields on the skin, (V,) in [0, 1] each; 0 on eyes, teeth and other groups.
 
-    lips, ears, lid_margin, mouth_interior (painted), eye_socket (behind the lids), eyelids, brows,
-    under_eye, nose, cheeks, forehead, chin, t_zone (oily), beard, moustache, goatee (hair-bearing
-    lower face), scalp (hair-bearing head), neck (with the shoulders).
+    lips, ears, mouth_interior, eye_socket (behind the lids), eyelids, under_eye, nose, cheeks,
+    forehead, chin, t_zone (oily), beard (hair-bearing lower face), scalp (hair-bearing head), neck
+    (with the shoulders).
     """
-    skin = np.zeros(len(model.template))
-    skin[model.groups["skin"]] = 1
-    x, y, z = np.abs(model.template[:, 0]), model.template[:, 1], model.template[:, 2]
-    inside = model.masks["inside-mouth"].astype(float)
     socket = _behind(model, (lid_loop(model, "left"), lid_loop(model, "right")))
-    outside = skin * (1 - inside) * (1 - socket)
+    inside = model.masks["inside-mouth"].astype(float)
     ears = model.masks["ears"].astype(float)
+    # The rim of the mouth is painted as both; it is lip until mostly inside.
     lips = model.masks["lips"] * (1 - np.clip(2 * inside - 1, 0, 1))
-    front = _ramp(y, -0.085, -0.105)
+    zones = _zones(model, ears, lips)
+    outside = (1 - inside) * (1 - socket)
+    field = {"lips": lips, "ears": ears, "mouth_interior": inside, "eye_socket": socket}
+    field |= {name: outside * value for name, value in zones.items()}
 
-    below_jaw = np.interp(y, *_JAW.T) - z
-    neck = np.maximum(_ramp(below_jaw, -0.003, 0.003), _ramp(z, 0.600, 0.590)) * (1 - ears)
-    nose = _ramp(_inside_distance(_NOSE, x, z), -0.0015, 0.0015) * _ramp(y, -0.118, -0.126)
-
-    scalp = _ramp(above_hairline(model.template), -0.004, 0.006) * (1 - ears)
-
-    below_beard = np.interp(y, *_BEARD_TOP.T) - z
-    lower_face = _ramp(below_beard, -0.004, 0.006) * _ramp(y, -0.066, -0.074)
-    throat = _ramp(z, 0.590, 0.606)
-    bare = (1 - np.clip(1.6 * lips, 0, 1)) * (1 - ears) * (1 - nose)
-    beard = lower_face * throat * bare
-    moustache = _ramp(x, 0.036, 0.028) * _ramp(z, 0.661, 0.667) * _ramp(z, 0.684, 0.679) * front
-    goatee = _ramp(x, 0.033, 0.025) * _ramp(y, -0.112, -0.124) * _ramp(z, 0.686, 0.679) * throat
-
-    forehead = _ramp(z, 0.750, 0.760) * (1 - scalp) * _ramp(y, -0.095, -0.115)
-    chin = _blob(model, (0.0, -0.148, 0.630), (0.021, 0.022, 0.017))
-    nose_ridge = nose * _ramp(x, 0.017, 0.008)
-    oily = np.maximum.reduce([forehead * _ramp(x, 0.045, 0.020), nose_ridge, 0.7 * chin])
-    brow_line = np.interp(
-        x, [0.008, 0.018, 0.036, 0.050, 0.058], [0.7405, 0.743, 0.7475, 0.744, 0.738]
-    )
-    brows = _ramp(np.abs(z - brow_line), 0.007, 0.002) * _ramp(x, 0.007, 0.012)
-    brows *= _ramp(x, 0.060, 0.054) * front
-
-    field = {
-        "lips": lips,
-        "ears": ears,
-        "mouth_interior": inside,
-        "lid_margin": model.masks["eyelids"].astype(float),
-        "eye_socket": socket,
-        "eyelids": outside * _blob(model, (0.0325, -0.139, 0.7305), (0.027, 0.030, 0.0150)),
-        "brows": outside * brows,
-        "under_eye": outside * _blob(model, (0.0310, -0.141, 0.7165), (0.018, 0.025, 0.0075)),
-        "nose": outside * nose,
-        "cheeks": outside * _blob(model, (0.0430, -0.130, 0.6960), (0.028, 0.035, 0.025)),
-        "forehead": outside * forehead,
-        "chin": outside * chin,
-        "t_zone": outside * oily,
-        "beard": outside * beard,
-        "moustache": outside * moustache * bare,
-        "goatee": outside * goatee * bare,
-        "scalp": outside * scalp,
-        "neck": outside * neck,
-    }
     opposite = mirror(model)  # the painted masks are not quite symmetric
+    skin = np.isin(np.arange(len(model.template)), model.groups["skin"])
     result = {
         name: (skin * (value + value[opposite]) / 2).clip(0, 1).astype(np.float32)
         for name, value in field.items()
@@ -148,11 +105,36 @@ def fields(model: HeadModel) -> dict[str, np.ndarray]:
     return result
 
 
-def above_hairline(positions: np.ndarray) -> np.ndarray:
-    """Height above the hairline in metres (N,), from template positions (N, 3)."""
-    x, y, z = np.asarray(positions, float).T
-    azimuth = np.degrees(np.arctan2(np.abs(x), _CROWN_DEPTH - y))
-    return z - np.interp(azimuth, *_HAIRLINE.T)
+def _zones(model: HeadModel, ears: np.ndarray, lips: np.ndarray) -> dict[str, np.ndarray]:
+    """Fields from positions in the template alone."""
+    x, y, z = np.abs(model.template[:, 0]), model.template[:, 1], model.template[:, 2]
+    below_jaw = np.interp(y, *_JAW.T) - z
+    neck = np.maximum(_ramp(below_jaw, -0.003, 0.003), _ramp(z, 0.600, 0.590)) * (1 - ears)
+    nose = _ramp(_inside_distance(_NOSE, x, z), -0.0015, 0.0015) * _ramp(y, -0.118, -0.126)
+
+    azimuth = np.degrees(np.arctan2(x, _CROWN_DEPTH - y))
+    above_hairline = z - np.interp(azimuth, *_HAIRLINE.T)
+    scalp = _ramp(above_hairline, -0.004, 0.006) * (1 - ears)
+    forehead = _ramp(z, 0.750, 0.760) * (1 - scalp) * _ramp(y, -0.095, -0.115)
+
+    below_beard = np.interp(y, *_BEARD_TOP.T) - z
+    beard = _ramp(below_beard, -0.004, 0.006) * _ramp(y, -0.066, -0.074) * _ramp(z, 0.590, 0.606)
+    beard *= (1 - np.clip(1.6 * lips, 0, 1)) * (1 - ears) * (1 - nose)
+
+    chin = _blob(model, (0.0, -0.148, 0.630), (0.021, 0.022, 0.017))
+    ridge = nose * _ramp(x, 0.017, 0.008)
+    return {
+        "nose": nose,
+        "neck": neck,
+        "scalp": scalp,
+        "forehead": forehead,
+        "beard": beard,
+        "chin": chin,
+        "cheeks": _blob(model, (0.0430, -0.130, 0.6960), (0.028, 0.035, 0.025)),
+        "eyelids": _blob(model, (0.0325, -0.139, 0.7305), (0.027, 0.030, 0.0150)),
+        "under_eye": _blob(model, (0.0310, -0.141, 0.7165), (0.018, 0.025, 0.0075)),
+        "t_zone": np.maximum.reduce([forehead * _ramp(x, 0.045, 0.020), ridge, 0.7 * chin]),
+    }
 
 
 def lid_loop(model: HeadModel, side: str) -> np.ndarray:
@@ -178,7 +160,7 @@ def from_base(model: HeadModel, ids: object) -> np.ndarray:
 def mirror(model: HeadModel) -> np.ndarray:
     """(V,) each skin vertex's counterpart on the other side of the template; others map to self."""
     skin = model.groups["skin"]
-    _, nearest = cKDTree(model.template[skin]).query(model.template[skin] * [-1, 1, 1])
+    _, nearest = KDTree(model.template[skin]).query(model.template[skin] * [-1, 1, 1])
     opposite = np.arange(len(model.template))
     opposite[skin] = skin[nearest]
     return opposite

@@ -14,12 +14,14 @@ from assets_procedural.head import HeadModel
 from assets_procedural.person import Person
 from assets_procedural.regions import fields
 
-# Absorbance (-ln reflectance) of bloodless unpigmented skin and of a full measure of each pigment.
-# Fitted by eye to the range of Fitzpatrick types I (melanin 0) to VI (melanin 1); the spectral
+# Absorbance (-ln reflectance) of bloodless unpigmented skin and of a full measure of each pigment,
+# fitted by eye to photographs from Fitzpatrick type I (melanin 0) to VI (melanin 1); the spectral
 # slope follows Donner & Jensen 2006: melanin absorbs blue most, haemoglobin green.
-BASE = -np.log(np.array([0.80, 0.63, 0.52]))
-MELANIN = np.array([1.75, 2.10, 2.30])
-HAEMOGLOBIN = np.array([0.10, 0.52, 0.46])
+BASE = -np.log(np.array([0.82, 0.61, 0.47]))
+MELANIN = np.array([2.00, 2.50, 2.95])
+HAEMOGLOBIN = np.array([0.10, 0.50, 0.42])
+# Perceived pigmentation is not linear in absorbance: equal steps of `melanin` look equal.
+_MELANIN_GAMMA = 1.5
 # Pigmented skin hides its blood: without this, dark skin turns orange.
 _VEILING = 0.55
 
@@ -40,8 +42,9 @@ class SkinFields:
 def reflectance(melanin: np.ndarray, haemoglobin: np.ndarray) -> np.ndarray:
     """Linear reflectance (..., 3) of skin by Beer-Lambert from pigment amounts (...)."""
     melanin = np.clip(melanin, 0, 1.3)[..., None]
+    pigment = melanin**_MELANIN_GAMMA
     blood = np.clip(haemoglobin, 0, 3)[..., None] * (1 - _VEILING * np.minimum(melanin, 1))
-    return np.exp(-(BASE + melanin * MELANIN + blood * HAEMOGLOBIN))
+    return np.exp(-(BASE + pigment * MELANIN + blood * HAEMOGLOBIN))
 
 
 def skin_fields(person: Person, model: HeadModel) -> SkinFields:
@@ -53,7 +56,7 @@ def skin_fields(person: Person, model: HeadModel) -> SkinFields:
     male = float(np.clip(1 - person.phenotypes.get("gender", 0.5), 0, 1))
     age = np.clip((person.age_years - 20) / 60, 0, 1)
 
-    blood = 0.25 + 0.5 * skin.haemoglobin
+    blood = 0.32 + 0.58 * skin.haemoglobin
     haemoglobin = blood * (
         1
         + 0.75 * flush[0] * zone["cheeks"]

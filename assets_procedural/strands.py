@@ -217,22 +217,28 @@ def mix(values: np.ndarray, ids: np.ndarray, weights: np.ndarray) -> np.ndarray:
     return result
 
 
-def clump(
-    strands: np.ndarray,
-    side: np.ndarray,
-    size: float,
-    strength: np.ndarray | float,
-    rng: np.random.Generator,
+def locks(
+    roots: np.ndarray, side: np.ndarray, size: float, rng: np.random.Generator
 ) -> np.ndarray:
-    """Pull strands (N, K, 3) towards locks of about `size` strands, more so towards the tips."""
-    count = max(int(len(strands) / size), 1)
-    centres = rng.permutation(len(strands))[:count]
-    ids, _ = spread(strands[centres, 0], side[centres], strands[:, 0], side, neighbours=1)
-    target = strands[centres[ids[:, 0]]]
+    """The leading strand (N,) of every strand's lock, locks holding about `size` strands."""
+    count = max(int(len(roots) / size), 1)
+    centres = rng.permutation(len(roots))[:count]
+    ids, _ = spread(roots[centres], side[centres], roots, side, neighbours=1)
+    return centres[ids[:, 0]]
+
+
+def clump(strands: np.ndarray, leader: np.ndarray, strength: np.ndarray | float) -> np.ndarray:
+    """Pull strands (N, K, 3) towards their lock's leader, more so towards the tips.
+
+    A strand moves by a third of its length at most, so that short hair does not bare the skin.
+    """
     along = np.linspace(0, 1, strands.shape[1])
     profile = along**1.3 * (1 - 0.25 * along)
     pull = np.broadcast_to(np.asarray(strength), (len(strands),))[:, None] * profile
-    return strands + (target - strands) * pull[..., None]
+    offset = (strands[leader] - strands) * pull[..., None]
+    reach = np.linalg.norm(np.diff(strands, axis=1), axis=2).sum(axis=1)
+    moved = np.linalg.norm(offset[:, -1], axis=1)
+    return strands + offset * np.minimum(1, 0.33 * reach / np.maximum(moved, 1e-9))[:, None, None]
 
 
 def sideways(strands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -1,42 +1,27 @@
-"""How long rendering takes on this machine: measured once, kept, and read by `synthgen plan`.
+"""How long rendering takes on this machine: the cost model, and the store of what was measured.
 
 The model is linear: a subject costs `subject_s`, each of its shots `shot_s` more, each frame (shot
-x environment) `frame_s` more; and in bytes likewise. It is measured through the renderer itself in
-a process of its own, by rendering the job's own first subjects with few and with more shots and
-environments, for each kind of subset apart: a video shot moves the head, a view only the camera.
+x environment) `frame_s` more; and in bytes likewise. `synthgen.measure` finds the costs of one
+process that runs alone; many at once are each a little slower where they share caches.
 """
 
 from __future__ import annotations
 
-import datetime
 import json
 import math
-import multiprocessing
 import os
 import platform
-import tempfile
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-import numpy as np
-
-from assets_procedural.environment import pool, write_pool
 from assets_procedural.person import Parameters
-from synthgen.farm.worker import load_renderer
-from synthgen.job import JobError, JobSpec, SubsetSpec
-from synthgen.plan import Plan, SubjectPlan
-from synthgen.shards import encode
+from synthgen.job import JobSpec, SubsetSpec
 
 if TYPE_CHECKING:
-    from multiprocessing.connection import Connection
+    pass
 
 Kind = Literal["multiview", "video"]
-SUBJECTS = 2
-"""Subjects that are measured per kind."""
-MOST = 3
-"""Shots and environments of the larger measurements."""
 
 
 class Calibration(Parameters):
@@ -97,9 +82,6 @@ def cores() -> int:
     return os.cpu_count() or 1
 
 
-# --- the store ------------------------------------------------------------------------------
-
-
 def store() -> Path:
     """The file in which measurements are kept."""
     from assets_procedural.head import cache_folder  # here: it imports scipy, which `plan` spares
@@ -127,12 +109,15 @@ def save(new: Sequence[Calibration]) -> None:
     temporary.replace(path)
 
 
-def find(job: JobSpec, kind: Kind, device: str, threads: int) -> tuple[Calibration, bool] | None:
+def find(
+    job: JobSpec, kind: Kind, device: str, threads: int, renderer: str
+) -> tuple[Calibration, bool] | None:
     """The measurement that fits a job best, carried over to it, and whether it was exact.
 
-    None if nothing was measured on this machine with this device.
+    None if this renderer was never measured on this machine with this device.
     """
-    here = [c for c in load() if (c.machine, c.device, c.kind) == (machine_name(), device, kind)]
+    wanted = machine_name(), renderer, device, kind
+    here = [c for c in load() if (c.machine, c.renderer, c.device, c.kind) == wanted]
     if not here:
         return None
 
@@ -148,163 +133,3 @@ def find(job: JobSpec, kind: Kind, device: str, threads: int) -> tuple[Calibrati
 
 def _setting(c: Calibration) -> tuple[Any, ...]:
     return c.machine, c.renderer, c.device, c.threads, c.kind, c.resolution, c.samples, c.linear
-
-
-# --- measuring ------------------------------------------------------------------------------
-
-
-def measure(
-    plan: Plan,
-    renderer: str,
-    device: str,
-    threads: int,
-    progress: Callable[[int, int], None] = lambda done, total: None,
-) -> list[Calibration]:
-    """Render a little of every kind of subset in `plan` and return what it took.
-
-    `renderer` is "module:function" as in `synthgen.farm`. `progress` is called with measurements
-    done and their number. Nothing is stored: see `save`.
-
-    Raises `JobError` if the renderer fails.
-    """
-    kinds = sorted({s.kind for s in plan.job.subsets.values()})
-    rounds = {kind: _rounds(plan, kind) for kind in kinds}
-    total, done, results = sum(len(r) for r in rounds.values()), 0, []
-    progress(done, total)
-    for kind, subjects in rounds.items():
-        rows = []
-        for row in _in_process(plan.job, subjects, renderer, device, threads):
-            rows.append(row)
-            done += 1
-            progress(done, total)
-        # The first round warms caches up: loading the head, compiling shaders.
-        figures = _fit(np.array(rows[1:]))
-        results.append(
-            Calibration(
-                machine=machine_name(),
-                renderer=renderer,
-                device=device,
-                threads=threads,
-                kind=kind,
-                resolution=plan.job.resolution,
-                samples=plan.job.samples,
-                linear=plan.job.image.linear,
-                measured=datetime.date.today().isoformat(),
-                **figures,
-            )
-        )
-    return results
-
-
-def _rounds(plan: Plan, kind: Kind) -> list[SubjectPlan]:
-    """Subjects to be rendered one after another: a warm-up, then three sizes of each subject."""
-    most = min(MOST, len(plan.environment_ids))
-    count = {"views": MOST} if kind == "multiview" else {"frames": MOST}
-    spec = SubsetSpec(kind=kind, subjects=SUBJECTS, environments=most, **count)
-    small = Plan(plan.job.model_copy(update={"subsets": {kind: spec}}), plan.environment_ids)
-    sizes = [(1, 1), (MOST, 1), (1, most)]
-    rounds = [
-        subject.model_copy(
-            update={"shots": subject.shots[:shots], "environments": subject.environments[:lights]}
-        )
-        for subject in small
-        for shots, lights in sizes
-    ]
-    return [rounds[0], *rounds]
-
-
-def _fit(rows: np.ndarray) -> dict[str, float]:
-    """Least squares with no negative cost; rows are (shots, frames, seconds, and bytes of both)."""
-    from scipy.optimize import nnls
-
-    shots, frames, seconds, shot_bytes, frame_bytes = rows.T
-    (subject_s, shot_s, frame_s), _ = nnls(
-        np.stack([np.ones_like(shots), shots, frames], axis=1), seconds
-    )
-    return {
-        "subject_s": float(subject_s),
-        "shot_s": float(shot_s),
-        "frame_s": float(frame_s),
-        "shot_bytes": float(shot_bytes.sum() / shots.sum()),
-        "frame_bytes": float(frame_bytes.sum() / frames.sum()),
-    }
-
-
-def _in_process(
-    job: JobSpec, subjects: Sequence[SubjectPlan], renderer: str, device: str, threads: int
-):
-    """Yield a row per subject from a spawned process, which prints to a log of its own."""
-    context = multiprocessing.get_context("spawn")
-    receiver, sender = context.Pipe(duplex=False)
-    with tempfile.TemporaryDirectory(prefix="synthgen-calibration-") as folder:
-        log = Path(folder) / "log.txt"
-        arguments = (
-            job.model_dump_json(),
-            [s.model_dump_json() for s in subjects],
-            renderer,
-            device,
-            threads,
-            folder,
-            sender,
-        )
-        process = context.Process(target=_measure, args=arguments, daemon=True)
-        process.start()
-        sender.close()
-        try:
-            for _ in subjects:
-                try:
-                    row = receiver.recv()
-                except EOFError:
-                    raise _failure(f"the renderer died: {_last_line(log)}") from None
-                if isinstance(row, str):
-                    raise _failure(f"the renderer failed: {row}")
-                yield row
-        finally:
-            process.join(10 if process.exitcode is None else 0)
-            process.kill()
-
-
-def _measure(
-    job_json: str,
-    subjects_json: Sequence[str],
-    renderer: str,
-    device: str,
-    threads: int,
-    folder: str,
-    sender: Connection,
-) -> None:
-    """Body of the measuring process: sends (shots, frames, seconds, bytes, bytes) per subject."""
-    log = os.open(Path(folder) / "log.txt", os.O_WRONLY | os.O_CREAT | os.O_APPEND)
-    os.dup2(log, 1)
-    os.dup2(log, 2)
-    try:
-        job = JobSpec.model_validate_json(job_json)
-        subjects = [SubjectPlan.model_validate_json(text) for text in subjects_json]
-        panoramas = Path(folder) / "environments"
-        used = {use.id for subject in subjects for use in subject.environments}
-        write_pool((s for s in pool(job.environments, job.seed) if s.id in used), panoramas)
-        render = load_renderer(renderer)
-        for subject in subjects:
-            start = time.perf_counter()
-            rendered = render(subject, job, panoramas, device, threads)
-            members = [encode(shot) for shot in rendered.shots]
-            seconds = time.perf_counter() - start
-            sizes = [(name[:3], len(data)) for m in members for name, data in m.items()]
-            per_frame = sum(size for prefix, size in sizes if prefix in ("rgb", "hdr"))
-            per_shot = sum(size for _, size in sizes) - per_frame
-            sender.send((len(subject.shots), subject.frames, seconds, per_shot, per_frame))
-    except Exception as error:
-        sender.send(f"{type(error).__name__}: {error}".splitlines()[0])
-    finally:
-        sender.close()
-        # Blender can hang at the interpreter's exit.
-        os._exit(0)
-
-
-def _failure(reason: str) -> JobError:
-    return JobError("--calibrate", "", "", reason)
-
-
-def _last_line(log: Path) -> str:
-    lines = log.read_text(errors="replace").strip().splitlines() if log.exists() else []
-    return lines[-1] if lines else "it said nothing"

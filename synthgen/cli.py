@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-if TYPE_CHECKING:
-    from rich.console import Console
-    from rich.progress import Progress
+from synthgen import console
 
+if TYPE_CHECKING:
     from assets_procedural.environment import EnvironmentSpec
 
 RENDERER = "synthgen.stage.render:render_subject"
@@ -45,7 +44,7 @@ def main() -> None:
     except Exception as error:
         if not isinstance(error, _user_errors()):
             raise
-        _stderr().print(f"[bold red]error:[/] {_escape(str(error))}", soft_wrap=True)
+        console.stderr().print(f"[bold red]error:[/] {console.escape(str(error))}", soft_wrap=True)
         sys.exit(2)
 
 
@@ -67,20 +66,21 @@ def plan(
     from synthgen import calibration, preflight
     from synthgen.estimate import estimate, report
     from synthgen.job import load_job
+    from synthgen.measure import measure
 
     spec = load_job(job, overrides or ())
-    hours = None if within is None else preflight.parse_duration(within)
+    hours = None if within is None else preflight.parseconsole.duration(within)
     the_plan, _ = preflight.make_plan(spec, job)
     if calibrate:
         preflight.check_device(device)
-        with _progress() as progress:
+        with console.progress() as progress:
             task = progress.add_task("measuring this machine", total=None)
 
             def advance(done: int, total: int) -> None:
                 progress.update(task, completed=done, total=total)
 
-            calibration.save(calibration.measure(the_plan, renderer, device, threads, advance))
-    report(estimate(the_plan, device, threads), hours, _stdout())
+            calibration.save(measure(the_plan, renderer, device, threads, advance))
+    report(estimate(the_plan, device, threads, renderer), hours, console.stdout())
 
 
 @app.command()
@@ -130,14 +130,16 @@ def render(
         renderer=renderer,
         retry_failed=retry_failed,
     )
-    console = _stdout()
-    console.print(
-        f"{summary.rendered} subjects, {summary.frames} frames in {_duration(summary.seconds)}"
+    screen = console.stdout()
+    screen.print(
+        f"{summary.rendered} subjects, {summary.frames} frames in {console.duration(summary.seconds)}"
         + ("; the dataset is complete" if summary.complete else "")
     )
     for entry in summary.failed:
-        console.print(
-            _escape(f"failed: {entry['subset']}/{entry['key']}: {entry['reason']} ({entry['log']})")
+        screen.print(
+            console.escape(
+                f"failed: {entry['subset']}/{entry['key']}: {entry['reason']} ({entry['log']})"
+            )
         )
     if summary.failed:
         raise typer.Exit(1)
@@ -149,34 +151,33 @@ def status(out: Dataset) -> None:
     from rich.table import Table
 
     from synthgen import ledger
-    from synthgen.estimate import size
 
     state = ledger.status(out)
-    console = _stdout()
+    screen = console.stdout()
     table = Table(title=f"{state.name} in {out}", title_justify="left")
     table.add_column("subset")
     for column in ("subjects", "done", "given up", "shards", "size"):
         table.add_column(column, justify="right")
     for s in state.subsets:
         counts = [f"{n:,}" for n in (s.subjects, s.done, s.failed, s.shards)]
-        table.add_row(s.name, *counts, size(s.bytes))
-    console.print(table)
+        table.add_row(s.name, *counts, console.size(s.bytes))
+    screen.print(table)
     done, total = state.frames
     line = f"{done:,} of {total:,} frames"
     if state.frames_per_second:
         line += f", {state.frames_per_second * 3600:,.0f} frames per hour"
         line += f" by {state.workers} workers"
     if state.seconds_left is not None:
-        line += f", {_duration(state.seconds_left)} left"
-    console.print(line + ("; complete" if state.complete else ""))
+        line += f", {console.duration(state.seconds_left)} left"
+    screen.print(line + ("; complete" if state.complete else ""))
     for entry in state.running:
-        console.print(
-            f"running: {entry['subset']}/{entry['key']} for {_duration(entry['seconds'])}"
+        screen.print(
+            f"running: {entry['subset']}/{entry['key']} for {console.duration(entry['seconds'])}"
         )
     for entry in state.failures:
         tries = f"{entry['attempts']} attempts"
-        console.print(
-            _escape(f"failed: {entry['subset']}/{entry['key']}, {tries}: {entry['reason']}")
+        screen.print(
+            console.escape(f"failed: {entry['subset']}/{entry['key']}, {tries}: {entry['reason']}")
         )
 
 
@@ -186,13 +187,13 @@ def verify(out: Dataset) -> None:
     from synthgen.verify import verify as check
 
     problems = check(out)
-    console = _stdout()
+    screen = console.stdout()
     for problem in problems:
-        console.print(_escape(problem), soft_wrap=True)
+        screen.print(console.escape(problem), soft_wrap=True)
     if problems:
-        console.print(f"{len(problems)} problem{'s' if len(problems) > 1 else ''} in {out}")
+        screen.print(f"{len(problems)} problem{'s' if len(problems) > 1 else ''} in {out}")
         raise typer.Exit(1)
-    console.print(f"{out}: everything is as promised")
+    screen.print(f"{out}: everything is as promised")
 
 
 @app.command()
@@ -238,7 +239,9 @@ def rerender(
     from synthgen.rerender import rerender as again
 
     preflight.check_device(device)
-    typer.echo(again(out, key, subset=subset, device=device, threads=threads))
+    with console.stderr().status(f"rendering {key} again"):
+        report = again(out, key, subset=subset, device=device, threads=threads)
+    typer.echo(report)
 
 
 @app.command()
@@ -253,9 +256,9 @@ def query(
 
     found = manifest.query(out, sql)
     table = Table(*[str(c) for c in found.column_names])
-    for row in found.to_pylist():
-        table.add_row(*[_escape(str(value)) for value in row.values()])
-    _stdout().print(table)
+    for row in found.rows:
+        table.add_row(*[console.escape(str(value)) for value in row])
+    console.stdout().print(table)
 
 
 @app.command()
@@ -267,8 +270,8 @@ def export(
     format_: Annotated[str, typer.Option("--format", help="nerfstudio.")] = "nerfstudio",
 ) -> None:
     """Write a dataset for another tool: a transforms.json per subject and environment."""
+    from synthgen.errors import JobError
     from synthgen.export import nerfstudio
-    from synthgen.job import JobError
 
     if format_ != "nerfstudio":
         raise JobError("--format", "", format_, "choose nerfstudio")
@@ -285,7 +288,7 @@ def _check_panoramas(environments: list[EnvironmentSpec], out: Path, file: Path)
         for e in environments
         if e.kind == "file" and not (out / "environments" / f"{e.id}.exr").exists()
     ]
-    with _progress() as progress:
+    with console.progress() as progress:
         for environment in progress.track(unseen, description="reading panoramas"):
             preflight.check_panorama(environment, file)
 
@@ -293,56 +296,7 @@ def _check_panoramas(environments: list[EnvironmentSpec], out: Path, file: Path)
 def _user_errors() -> tuple[type[Exception], ...]:
     """What is reported in one line. Imported only when something was raised already."""
     from assets_procedural.panorama import PanoramaError
-    from synthgen.job import JobError
+    from synthgen.errors import JobError
     from synthgen.ledger import StorageError
 
     return JobError, StorageError, PanoramaError
-
-
-def _stdout() -> Console:
-    from rich.console import Console
-
-    # A pipe has no width of its own, and 80 columns would break tables and paths.
-    return Console(highlight=False, width=None if sys.stdout.isatty() else 160)
-
-
-def _stderr() -> Console:
-    from rich.console import Console
-
-    return Console(stderr=True, highlight=False)
-
-
-def _progress() -> Progress:
-    """A progress bar on stderr, silent when that is no terminal."""
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
-
-    console = _stderr()
-    columns = ("{task.description}", BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    return Progress(
-        *(TextColumn(c) if isinstance(c, str) else c for c in columns),
-        TimeRemainingColumn(),
-        console=console,
-        disable=not console.is_terminal,
-    )
-
-
-def _escape(text: str) -> str:
-    from rich.markup import escape
-
-    return escape(text)
-
-
-def _duration(seconds: float) -> str:
-    if seconds < 60:
-        return f"{seconds:.0f} s"
-    minutes = round(seconds / 60)
-    if minutes < 60:
-        return f"{minutes} min"
-    return f"{minutes // 60} h {minutes % 60:02d} min"

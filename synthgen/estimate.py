@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from synthgen import calibration
+from synthgen.console import size
 from synthgen.plan import Plan, subject_bytes
 
 if TYPE_CHECKING:
@@ -59,12 +60,12 @@ class Estimate:
         return max(1, math.ceil(self.hours / (self.processes * within_hours)))
 
 
-def estimate(plan: Plan, device: str = "cpu", threads: int = 1) -> Estimate:
+def estimate(plan: Plan, device: str, threads: int, renderer: str) -> Estimate:
     """Estimate a plan by what was measured on this machine (see `synthgen.calibration`)."""
     job = plan.job
     subsets = []
     for name, spec in job.subsets.items():
-        found = calibration.find(job, spec.kind, device, threads)
+        found = calibration.find(job, spec.kind, device, threads, renderer)
         size = found[0].bytes(spec) if found else subject_bytes(job, spec)
         subsets.append(
             SubsetEstimate(
@@ -136,15 +137,6 @@ def report(result: Estimate, within_hours: float | None, console: Console) -> No
         console.print(f"Within {_days(within_hours / 24)}: {count:,} {plural} like this one.")
         if count is not None and count > 1:
             console.print(f"Give each its slice: --shard 1/{count} to {count}/{count}.")
-
-
-def size(count: float) -> str:
-    """Bytes for people: 3.2 GB."""
-    for unit in ("B", "kB", "MB", "GB", "TB"):
-        if count < 999.5 or unit == "TB":
-            break
-        count /= 1000
-    return f"{count:.3g} {unit}" if count < 999.5 else f"{count:,.0f} {unit}"
 
 
 def _days(days: float) -> str:

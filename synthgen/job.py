@@ -1,35 +1,22 @@
-"""`JobSpec`: what a job file may say, and the one line a user gets when it says something else."""
+"""`JobSpec`: what a job file may say. What it gets when it says something else: `JobError`."""
 
 from __future__ import annotations
 
 import difflib
 import json
-import math
 import re
 import tomllib
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, Field, ValidationError, field_validator, model_validator
+from pydantic import Field, ValidationError, field_validator, model_validator
 
 from assets_procedural.environment import EnvironmentSettings
 from assets_procedural.motion import PoseSettings
 from assets_procedural.person_sampling import PeopleSettings
 from assets_procedural.settings import Interval, Settings, interval
-
-
-class JobError(Exception):
-    """Bad input, found before anything is rendered; `str()` is one line for the user.
-
-    `file` is the job file, folder or command-line option, `field` the key in it, `value` what it
-    says (already printable) and `remedy` what is wrong and what to do about it.
-    """
-
-    def __init__(self, file: str | Path, field: str, value: str, remedy: str) -> None:
-        self.file, self.field, self.value, self.remedy = str(file), field, value, remedy
-        where = f"{field} = {value}" if field and value else field or value
-        super().__init__(": ".join(part for part in (self.file, where, remedy) if part))
+from synthgen.errors import JobError, explain
 
 
 class SubsetSpec(Settings):
@@ -167,9 +154,9 @@ def load_job(path: str | Path, overrides: Sequence[str] = ()) -> JobSpec:
     except FileNotFoundError:
         raise JobError(path, "", "no such job file", _nearest_job(path)) from None
     except (OSError, UnicodeDecodeError) as error:
-        raise JobError(path, "", "cannot be read as text", _oneline(error)) from None
+        raise JobError(path, "", "cannot be read as text", " ".join(str(error).split())) from None
     except tomllib.TOMLDecodeError as error:
-        raise JobError(path, "", "is not valid TOML", _oneline(error)) from None
+        raise JobError(path, "", "is not valid TOML", " ".join(str(error).split())) from None
     overridden = [_override(data, text) for text in overrides]
     job = parse_job(data, path, overridden)
     folder = job.environments.folder
@@ -187,7 +174,7 @@ def parse_job(data: dict[str, Any], file: str | Path, overridden: Iterable[str] 
         # JSON mode, because strict mode would refuse TOML's lists where tuples are wanted.
         return JobSpec.model_validate_json(json.dumps(data, default=str), strict=True)
     except ValidationError as error:
-        raise _first_error(error, data, file, tuple(overridden)) from None
+        raise explain(error, data, file, JobSpec, tuple(overridden)) from None
 
 
 def _override(data: dict[str, Any], text: str) -> str:
@@ -216,135 +203,3 @@ def _nearest_job(path: Path) -> str:
     if near:
         return f'did you mean "{near[0]}"?'
     return "give the path of a .toml file, such as render_jobs/demo.toml"
-
-
-# --- from pydantic's list of errors to one line ---------------------------------------------
-
-_REMEDIES = {
-    "missing": "is missing; add it",
-    "int_type": "give a whole number",
-    "int_from_float": "give a whole number",
-    "int_parsing_size": "the number is too large",
-    "float_type": "give a number",
-    "finite_number": "give a finite number",
-    "bool_type": "give true or false",
-    "string_type": 'give a text in "quotes"',
-    "tuple_type": "give a list, such as [a, b]",
-    "model_type": "give a table of settings",
-    "model_attributes_type": "give a table of settings",
-    "dict_type": "give a table of settings",
-    "greater_than_equal": "give at least {ge:g}",
-    "greater_than": "give more than {gt:g}",
-    "less_than_equal": "give at most {le:g}",
-    "less_than": "give less than {lt:g}",
-    "literal_error": "choose {expected}",
-    "string_pattern_mismatch": "use letters, digits, - and _, 64 at most",
-}
-
-
-def _first_error(
-    error: ValidationError, data: dict[str, Any], file: str | Path, overridden: Sequence[str]
-) -> JobError:
-    found = [(_resolve(data, e["loc"]), e) for e in error.errors(include_url=False)]
-    # A union reports every branch: the branch that got deepest into the value speaks. An unknown
-    # key comes first, since it is often the reason why another one is missing.
-    (keys, value), first = max(
-        found, key=lambda f: (f[1]["type"] == "extra_forbidden", len(f[0][0]), _fits(*f))
-    )
-    field = _join(keys)
-    kind, context = first["type"], first.get("ctx", {})
-    if kind == "extra_forbidden":
-        remedy = _unknown_key(keys)
-    elif isinstance(value, float) and not math.isfinite(value):
-        remedy = "give a finite number"
-    elif kind == "value_error":
-        remedy = str(context["error"])
-    elif kind == "missing" and isinstance(keys[-1], int):
-        field, value = _join(keys[:-1]), _at(data, keys[:-1])
-        remedy = "give two numbers, [low, high]"
-    elif kind == "too_long" or (kind == "tuple_type" and len(found) == 1):
-        remedy = "give two numbers, [low, high]"
-    elif kind == "literal_error" and context["expected"] == "'all'":
-        remedy = 'choose "all" or a list of names'
-    elif kind == "too_short" and field == "subsets":
-        remedy = "a job needs at least one subset, such as [subsets.multiview]"
-    elif kind in _REMEDIES:
-        remedy = _REMEDIES[kind].format(**context)
-    else:
-        remedy = first["msg"]
-    if kind == "literal_error" and isinstance(value, str):
-        remedy = _suggest(value, re.findall(r"'([^']*)'", context["expected"])) + remedy
-    if any(field == key or field.startswith(key + ".") for key in overridden):
-        file = "--set"
-    # A table would fill the line, and what is wrong is in it or missing from it.
-    hidden = value is None or (isinstance(value, dict) and value)
-    shown = "" if hidden else _show(value)
-    return JobError(file, field or "the job", shown, remedy)
-
-
-def _resolve(data: Any, loc: tuple[int | str, ...]) -> tuple[tuple[int | str, ...], Any]:
-    """The keys of `loc` that exist in `data` (pydantic adds names of union branches) and value."""
-    keys: list[int | str] = []
-    for i, key in enumerate(loc):
-        if isinstance(data, dict) and key in data:
-            data = data[str(key)]
-        elif isinstance(data, list) and isinstance(key, int) and key < len(data):
-            data = data[key]
-        elif i == len(loc) - 1 and isinstance(data, dict | list) and not _is_branch(key):
-            data = None  # a missing key
-        else:
-            continue
-        keys.append(key)
-    return tuple(keys), data
-
-
-def _is_branch(key: int | str) -> bool:
-    return isinstance(key, str) and bool(re.search(r"[\[\]()'-]|^(str|int|float|bool)$", key))
-
-
-def _fits(resolved: tuple[tuple[int | str, ...], Any], error: Any) -> bool:
-    """Whether an error is about the value's content, not just about it being of another type."""
-    wants_list = error["type"] in ("tuple_type", "list_type")
-    is_list = isinstance(resolved[1], list)
-    return not (wants_list or (error["type"] == "literal_error" and is_list))
-
-
-def _join(keys: Sequence[int | str]) -> str:
-    return ".".join(str(k) for k in keys)
-
-
-def _at(data: Any, keys: Sequence[int | str]) -> Any:
-    for key in keys:
-        data = data[key]
-    return data
-
-
-def _unknown_key(keys: Sequence[int | str]) -> str:
-    model: Any = JobSpec
-    for key in keys[:-1]:
-        model = SubsetSpec if model is dict else _model_of(model, str(key))
-    known = list(model.model_fields)
-    name = str(keys[-1])
-    return "unknown key; " + (_suggest(name, known).strip() or "known are " + ", ".join(known))
-
-
-def _model_of(model: type[BaseModel], key: str) -> Any:
-    annotation = model.model_fields[key].annotation
-    for candidate in (annotation, *get_args(annotation)):
-        if isinstance(candidate, type) and issubclass(candidate, BaseModel):
-            return candidate if annotation is candidate else dict
-    return dict
-
-
-def _suggest(name: str, known: Sequence[str]) -> str:
-    near = difflib.get_close_matches(name, known, n=1, cutoff=0.6)
-    return f'did you mean "{near[0]}"? ' if near else ""
-
-
-def _show(value: Any) -> str:
-    text = json.dumps(value, ensure_ascii=False, default=str)
-    return text if len(text) <= 60 else text[:57] + "..."
-
-
-def _oneline(error: Exception) -> str:
-    return " ".join(str(error).split())

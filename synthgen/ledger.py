@@ -52,7 +52,9 @@ def shard_record(out: Path, subset: str, name: str) -> dict[str, Any] | None:
     """The record of a committed shard, or None if there is none or its files are gone."""
     try:
         record = json.loads(record_file(out, subset, name).read_bytes())
-        if record["subjects"] and (out / record["tar"]).stat().st_size != record["bytes"]:
+        if not record["subjects"]:
+            return record
+        if (out / record["tar"]).stat().st_size != record["bytes"]:
             return None
         part_file(out, subset, name).stat()
     except (OSError, ValueError, KeyError):

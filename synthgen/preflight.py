@@ -10,7 +10,8 @@ import sys
 from pathlib import Path
 
 from assets_procedural.environment import EnvironmentSpec, PanoramaError, load, pool
-from synthgen.job import JobError, JobSpec
+from synthgen.errors import JobError
+from synthgen.job import JobSpec
 from synthgen.plan import Plan, subject_bytes
 
 DEVICES = ("cpu", "cuda", "optix", "hip", "metal")

@@ -72,7 +72,7 @@ FIELDS: dict[str, tuple[str, str]] = {
         "application/zip",
     ),
     "meta.json": (
-        "Camera, environments, expression, pose, gaze, 2D landmarks, seeds, person",
+        "Camera, environments, expression, pose, gaze, 2D landmarks, seeds; `person` is a JSON string",
         "application/json",
     ),
 }

@@ -120,7 +120,7 @@ def _difference(a: np.ndarray, b: np.ndarray | None) -> Difference:
 def _numbers(value: Any) -> np.ndarray:
     """All numbers in a JSON value, in order."""
     if isinstance(value, dict):
-        value = list(value.values())
+        value = [value[name] for name in sorted(value)]
     if isinstance(value, list):
         return np.concatenate([_numbers(v) for v in value]) if value else np.empty(0)
     return np.array([value], float) if isinstance(value, int | float) else np.empty(0)

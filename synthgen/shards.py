@@ -79,7 +79,10 @@ def encode(shot: Shot) -> dict[str, bytes]:
     members["alpha.png"] = _png(shot.alpha)
     members["parts.png"] = _png(shot.parts)
     members["geometry.npz"] = encode_npz(shot.geometry)
-    members["meta.json"] = encode_json(shot.meta)
+    # As a string, because its keys vary from person to person: readers that infer one type for all
+    # samples, as Hugging Face's does, could not hold it as an object.
+    person = encode_json(shot.meta["person"]).decode()
+    members["meta.json"] = encode_json(shot.meta | {"person": person})
     return members
 
 
@@ -118,7 +121,8 @@ def decode_fields(members: dict[str, bytes]) -> dict[str, Any]:
                 with np.load(io.BytesIO(data), allow_pickle=False) as archive:
                     fields[stem] = {k: archive[k] for k in archive.files}
             elif extension == "json":
-                fields[stem] = json.loads(data)
+                meta = json.loads(data)
+                fields[stem] = meta | {"person": json.loads(meta["person"])}
         except Exception as error:  # decoders raise whatever they like on damaged bytes
             raise ValueError(f"{name} does not decode: {_brief(error)}") from error
     return fields

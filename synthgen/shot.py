@@ -8,7 +8,8 @@ Camera space: OpenGL axes (x right, y up, the camera looks along -z), pixel cent
   landmarks_canonical  (70, 3) float32, the same points on the canonical bust
   control_points, control_points_canonical, control_normals, control_normals_canonical  (N, 3)
   joints               (J, 4, 4) float32, rest-to-posed transforms; their names in meta["joints"]
-`meta` is what `describe` returns, and whatever the renderer adds to it.
+`meta` is what `describe` returns, and whatever the renderer adds to it: the same keys and types in
+every shot of a subset, no null and no empty list, but for "person", which is stored as a string.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from assets_procedural.motion import ARKIT_NAMES
 from synthgen.camera import Camera
 
 if TYPE_CHECKING:
@@ -113,7 +115,7 @@ def describe(
             "sample": sample.model_dump(mode="json"),
         },
         "environments": [use.model_dump(mode="json") for use in subject.environments],
-        "expression": dict(pose.expression),
+        "expression": {name: float(pose.expression.get(name, 0.0)) for name in ARKIT_NAMES},
         "head": dict(zip(("pitch", "roll", "yaw"), pose.head, strict=True)),
         "gaze": dict(zip(("yaw", "pitch"), pose.gaze, strict=True)),
         "landmarks": {

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import math
 import sys
 import tarfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
@@ -14,8 +15,9 @@ from typing import Any
 
 import numpy as np
 
+from assets_procedural.motion import ARKIT_NAMES
 from synthgen import ledger, manifest, publish
-from synthgen.plan import SPLITS, Plan, ShardPlan, subject_key
+from synthgen.plan import SPLITS, Plan, ShardPlan, SubjectPlan, subject_key
 from synthgen.shards import decode, decode_exr, sha256
 from synthgen.shot import inspect
 
@@ -68,7 +70,8 @@ def _each(
     from rich.progress import track
 
     console = Console(stderr=True)
-    same_code = info["code"]["version"] == publish.code_version()["version"]
+    # Another version may plan other people from the same seed: then only its own can tell.
+    same_code = info["code"] == publish.code_version()
     jobs = [(out, shard, tables[shard.subset], same_code) for shard in planned]
     size = sum(entry["bytes"] for entry in info.get("shards", ()))
     if size < PARALLEL_BYTES or workers == 1:
@@ -213,7 +216,9 @@ def _samples(
     counts: dict[str, int],
 ) -> Iterator[str]:
     """Check sample after sample; takes the rows that it meets out of `rows`."""
-    plan = publish.stored_plan(out)
+    subject_of = functools.lru_cache(1)(
+        functools.partial(publish.stored_plan(out).subject, shard.subset)
+    )
     fields: list[str] | None = None
     # tarfile, and not our own reader: what others rely on is what is checked.
     try:
@@ -242,7 +247,9 @@ def _samples(
                 if problems:
                     continue
                 if same_code:
-                    yield from (f"{key}: {p}" for p in _against_plan(plan, shard, key, shot.meta))
+                    yield from (
+                        f"{key}: {p}" for p in _against_plan(subject_of, shard, key, shot.meta)
+                    )
                 if row is not None:
                     yield from (
                         f"{key}: {p}" for p in _against_row(out, row, shot.meta, quality, places)
@@ -270,12 +277,14 @@ def _grouped(
         yield current, members, places
 
 
-def _against_plan(plan: Plan, shard: ShardPlan, key: str, meta: dict[str, Any]) -> Iterator[str]:
+def _against_plan(
+    subject_of: Callable[[int], SubjectPlan], shard: ShardPlan, key: str, meta: dict[str, Any]
+) -> Iterator[str]:
     index = meta.get("index", -1)
     if index not in shard.subjects:
         yield f"subject {index} does not belong into this shard"
         return
-    subject = plan.subject(shard.subset, index)
+    subject = subject_of(index)
     shot = next((s for s in subject.shots if s.key == key), None)
     if shot is None:
         yield "the plan has no such shot"
@@ -286,7 +295,7 @@ def _against_plan(plan: Plan, shard: ShardPlan, key: str, meta: dict[str, Any]) 
         "split": subject.split,
         "environments": [use.model_dump(mode="json") for use in subject.environments],
         "person": subject.person.model_dump(mode="json"),
-        "expression": dict(pose.expression),
+        "expression": {name: pose.expression.get(name, 0.0) for name in ARKIT_NAMES},
     }
     for name, value in expected.items():
         if not _same(meta.get(name), value):

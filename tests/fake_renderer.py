@@ -1,6 +1,6 @@
 """A renderer without Blender: the head is a sphere, with true depth, normals and landmarks.
 
-Named to workers as "tests.fake_renderer:render_subject". `TROUBLE`, an environment variable with
+Named to workers as `RENDERER`. `TROUBLE`, an environment variable with
 JSON {subject key: kind}, makes subjects crash, hang, raise, break the gate or fill the disk; with
 a "<kind> once" only the first attempt fails.
 """
@@ -13,6 +13,7 @@ import os
 import signal
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -21,7 +22,25 @@ from synthgen.job import JobSpec
 from synthgen.plan import ShotPlan, SubjectPlan
 from synthgen.shot import RenderedSubject, Shot, describe
 
+RENDERER = "fake_renderer:render_subject"
 CENTRE, RADIUS = np.array([0.0, 0.0, 0.65]), 0.11
+
+
+def small_job(**changes: Any) -> JobSpec:
+    """A job of 5 + 3 subjects and 2 subsets that takes a second to render."""
+    data: dict[str, Any] = {
+        "name": "small",
+        "seed": 3,
+        "resolution": 48,
+        "shard_subjects": 2,
+        "subsets": {
+            "multiview": {"kind": "multiview", "subjects": 5, "environments": 2, "views": 2},
+            "video": {"kind": "video", "subjects": 3, "environments": 3, "frames": 2},
+        },
+        "environments": {"bundled": ["city", "night", "studio"]},
+        "splits": {"validation": 0.2, "test": 0.2},
+    }
+    return JobSpec.model_validate(data | changes)
 
 
 def render_subject(

@@ -11,7 +11,8 @@ import pytest
 from PIL import Image
 
 from synthgen import preflight
-from synthgen.job import JobError, JobSpec, load_job
+from synthgen.errors import JobError
+from synthgen.job import JobSpec, load_job
 
 JOBS = Path(__file__).parent.parent / "render_jobs"
 GOOD = """

@@ -46,10 +46,10 @@ def skin(parameters: Skin) -> bpy.types.Material:
 
     colour = graph.attribute("colour").outputs["Color"]
     blotches = graph.noise(place, 55, detail=3, rough=0.6)
-    redder = graph.mix(graph.stretch(blotches, 0.35, 0.7, (0, 1)), (0.97, 1.03, 1.03), (1.05, 0.92, 0.91))
+    redder = graph.mix(graph.stretch(blotches, 0.35, 0.7, (0, 1)), (0.99, 1.02, 1.02), (1.03, 0.95, 0.945))
     colour = graph.mix(1.0, colour, redder, "MULTIPLY")
     mottling = graph.noise(place, 420, detail=2, rough=0.7)
-    paler = graph.mix(graph.stretch(mottling, 0.3, 0.7, (0, 1)), (0.93, 0.92, 0.91), (1.06, 1.06, 1.06))
+    paler = graph.mix(graph.stretch(mottling, 0.3, 0.7, (0, 1)), (0.95, 0.94, 0.93), (1.05, 1.05, 1.05))
     colour = graph.mix(1.0, colour, paler, "MULTIPLY")
 
     if parameters.freckles > 0.05:
@@ -93,8 +93,7 @@ def skin(parameters: Skin) -> bpy.types.Material:
         "Base Color": colour, "Roughness": roughness, "IOR": 1.42, "Normal": bump.outputs[0],
         "Subsurface Weight": 1.0, "Subsurface Scale": _SSS_SCALE,
         "Subsurface Anisotropy": 0.0, "Specular IOR Level": 0.5,
-        "Coat Weight": 0.05 + 0.1 * parameters.oiliness, "Coat Roughness": 0.28,
-        "Sheen Weight": 0.05, "Sheen Roughness": 0.4,
+        "Coat Weight": 0.04 + 0.1 * parameters.oiliness, "Coat Roughness": 0.28,
     }, subsurface_method="RANDOM_WALK")  # fmt: skip
     surface.inputs["Subsurface Radius"].default_value = _SSS_RADIUS
     graph.output(surface.outputs[0])

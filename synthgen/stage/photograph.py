@@ -13,7 +13,7 @@ from synthgen.display import display, to_bytes, undisplay
 # would make all skins equally bright, 0 would meter the incident light alone.
 _FACE_LEVEL = 0.30
 _MEDIUM_ALBEDO = 0.40
-_FOLLOW = 0.45
+_FOLLOW = 0.38
 _F_NUMBER = 2.8
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 

@@ -85,10 +85,24 @@ def open_stage(resolution: int, samples: int, device: str = "cpu", threads: int 
         aov.name = name
         aov.type = "VALUE" if name == "part" else "COLOR"
 
+    _denoise_matte(scene)
     image = render.image_settings
     image.file_format = "OPEN_EXR_MULTILAYER"
     image.color_depth = "32"
     image.exr_codec = "NONE"
+
+
+def _denoise_matte(scene: bpy.types.Scene) -> None:
+    """Composite the denoised alpha: Cycles denoises colour alone, and strands leave it grainy."""
+    scene.use_nodes = True
+    nodes, links = scene.node_tree.nodes, scene.node_tree.links
+    nodes.clear()
+    layer = nodes.new("CompositorNodeRLayers")
+    denoise = nodes.new("CompositorNodeDenoise")
+    denoise.use_hdr = False
+    result = nodes.new("CompositorNodeComposite")
+    links.new(layer.outputs["Alpha"], denoise.inputs["Image"])
+    links.new(denoise.outputs["Image"], result.inputs["Image"])
 
 
 def choose_device(device: str) -> Literal["CPU", "GPU"]:
@@ -141,6 +155,7 @@ def set_mode(mode: Mode, samples: int) -> None:
     labels = mode == "labels"
     scene.cycles.samples = 1 if labels else samples
     scene.cycles.use_denoising = not labels
+    scene.render.use_compositing = not labels
     scene.cycles.filter_width = 0.01 if labels else 1.5
     scene.cycles.max_bounces = 0 if labels else 6
     for clear in bpy.data.objects:
@@ -149,10 +164,12 @@ def set_mode(mode: Mode, samples: int) -> None:
 
 
 def shoot_beauty(seed: int) -> np.ndarray:
-    """Render the current view: (H, W, 4) linear Rec.709, premultiplied, clamped to finite halfs."""
+    """Render the current view: (H, W, 4) linear Rec.709, premultiplied, finite in half."""
     bpy.context.scene.cycles.seed = seed
-    image = _render()["Combined"]
-    return np.clip(np.nan_to_num(image), 0, 65000)
+    passes = _render()
+    image = np.clip(np.nan_to_num(passes["Combined"]), 0, 65000)
+    image[..., 3] = np.clip(passes["Composite"][..., 0], 0, 1)
+    return image
 
 
 def shoot_labels(camera: Camera) -> Labels:
@@ -189,7 +206,8 @@ def _render() -> dict[str, np.ndarray]:
     passes: dict[str, np.ndarray] = {}
     groups: dict[str, dict[str, np.ndarray]] = {}
     for name, pixels in channels.items():
-        *_, group, component = name.split(".")
+        layer, group, component = name.split(".")
+        group = layer if layer == "Composite" else group
         groups.setdefault(group, {})[component] = pixels
     for group, components in groups.items():
         order = "RGBA" if "R" in components else "XYZV"

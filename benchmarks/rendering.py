@@ -1,0 +1,187 @@
+"""What a frame costs and what samples buy, on this project's own heads.
+
+    python benchmarks/rendering.py [--subjects 3] [--resolutions 128 256 512] [--reference 512]
+
+Prints two Markdown tables. First: CPU seconds of each step on one thread, and the frames per
+core-hour that follow for the paper's two kinds of subset. Second: PSNR of the display-referred
+picture (foreground over black) against a converged render, by samples per pixel.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import time
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+
+STEPS = ("build", "pose", "sync", "sample", "denoise", "labels", "develop", "write")
+SAMPLES = (4, 8, 16, 32, 64)
+
+
+def measure(index: int, resolution: int) -> dict[str, float]:
+    """CPU seconds of each step for subject `index`; `sample` is for one sample of one frame."""
+    import bpy
+
+    from assets_procedural.assembly import pieces
+    from assets_procedural.head import HeadModel
+    from synthgen.camera import resolve
+    from synthgen.shards import encode
+    from synthgen.stage import render, scene
+    from synthgen.stage.build import build_figure, pose_figure
+    from synthgen.stage.geometry import frame_of_head
+
+    job, subject, folder = _subject(index, resolution)
+    model = HeadModel.load()
+    seconds = {}
+
+    def clock(name: str, start: float) -> None:
+        seconds[name] = time.process_time() - start
+
+    start = time.process_time()
+    identity = model.identity(subject.person)
+    scene.open_stage(resolution, 2, "cpu", 1)
+    figure = build_figure(subject.person, identity, pieces(subject.person, identity))
+    clock("build", start)
+
+    start = time.process_time()
+    bust = identity.pose(subject.poses[0])
+    pose_figure(figure, bust)
+    clock("pose", start)
+
+    camera = resolve(subject.cameras[0], *frame_of_head(bust), resolution)
+    scene.set_camera(camera)
+    lights = subject.environments
+    scene.set_mode("beauty", 2)
+    scene.set_light(folder / f"{lights[0].id}.exr", lights[0].rotation)
+    scene.shoot_beauty(0)  # compiles kernels and uploads the scene
+
+    def frame(samples: int, denoise: bool, light: int) -> float:
+        scene.set_mode("beauty", samples)
+        bpy.context.scene.cycles.use_denoising = denoise
+        scene.set_light(folder / f"{lights[light].id}.exr", lights[light].rotation)
+        begun = time.process_time()
+        scene.shoot_beauty(1)
+        return time.process_time() - begun
+
+    few, many = frame(2, False, 1), frame(10, False, 0)
+    seconds["sample"] = (many - few) / 8
+    seconds["sync"] = max(0.0, few - 2 * seconds["sample"])
+    seconds["denoise"] = max(0.0, frame(2, True, 1) - few)
+
+    scene.set_mode("beauty", 8)
+    linear = [scene.shoot_beauty(1)] * 2
+    scene.set_mode("labels", 8)
+    start = time.process_time()
+    labels = scene.shoot_labels(camera)
+    clock("labels", start)
+    start = time.process_time()
+    args = (subject, subject.shots[0], job, folder, camera, bust, linear, labels)
+    shot = render._shot(*args)
+    clock("develop", start)
+    start = time.process_time()
+    encode(shot)
+    clock("write", start)
+    return seconds
+
+
+def fidelity(index: int, resolution: int, reference: int) -> list[float]:
+    """PSNR in dB of each entry of SAMPLES against `reference` samples, both denoised."""
+    from assets_procedural.assembly import pieces
+    from assets_procedural.head import HeadModel
+    from synthgen.camera import resolve
+    from synthgen.display import display
+    from synthgen.stage import photograph, scene
+    from synthgen.stage.build import build_figure, pose_figure
+    from synthgen.stage.geometry import frame_of_head
+
+    _, subject, folder = _subject(index, resolution)
+    identity = HeadModel.load().identity(subject.person)
+    scene.open_stage(resolution, 4, "cpu", 1)
+    figure = build_figure(subject.person, identity, pieces(subject.person, identity))
+    bust = identity.pose(subject.poses[0])
+    pose_figure(figure, bust)
+    camera = resolve(subject.cameras[0], *frame_of_head(bust), resolution)
+    scene.set_camera(camera)
+    light = subject.environments[0]
+    scene.set_light(folder / f"{light.id}.exr", light.rotation)
+
+    def shoot(samples: int, seed: int) -> np.ndarray:
+        scene.set_mode("beauty", samples)
+        return scene.shoot_beauty(seed)
+
+    truth = shoot(reference, 99)
+    scene.set_mode("labels", 4)
+    labels = scene.shoot_labels(camera)
+    exposure = photograph.face_exposure(truth, labels.albedo, labels.parts)
+    shown = display(exposure * truth[..., :3])
+    result = []
+    for samples in SAMPLES:
+        error = display(exposure * shoot(samples, 7)[..., :3]) - shown
+        result.append(float(-10 * np.log10(np.mean(error**2))))
+    return result
+
+
+def _subject(index: int, resolution: int):
+    """The `index`-th subject of a fixed job, and a folder with its environments."""
+    from assets_procedural.environment import pool, write_pool
+    from synthgen.job import JobSpec, SubsetSpec
+    from synthgen.plan import plan
+
+    subset = SubsetSpec(kind="multiview", subjects=100, environments=2, views=1)
+    job = JobSpec(name="benchmark", resolution=resolution, subsets={"multiview": subset})
+    folder = Path(tempfile.gettempdir()) / "synthgen-benchmark-environments"
+    folder.mkdir(exist_ok=True)
+    write_pool(pool(job.environments, job.seed), folder)
+    return job, plan(job).subject("multiview", index), folder
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--subjects", type=int, default=3)
+    parser.add_argument("--resolutions", type=int, nargs="+", default=[128, 256, 512])
+    parser.add_argument(
+        "--reference", type=int, default=512, help="samples of the converged render"
+    )
+    options = parser.parse_args()
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn"), max_tasks_per_child=1) as pool:
+        print("| CPU seconds | " + " | ".join(f"{r}²" for r in options.resolutions) + " |")
+        print("|---" * (len(options.resolutions) + 1) + "|")
+        means = {}
+        for resolution in options.resolutions:
+            runs = list(pool.map(measure, range(options.subjects), [resolution] * options.subjects))
+            means[resolution] = {step: np.mean([run[step] for run in runs]) for step in STEPS}
+        for step in STEPS:
+            cells = " | ".join(f"{means[r][step]:.2f}" for r in options.resolutions)
+            print(f"| {step} | {cells} |")
+        for name, lights, shots, poses in (
+            ("multiview 2×10", 2, 10, 1),
+            ("video 10×10", 10, 10, 10),
+        ):
+            for samples in (8, 64):
+                rates = []
+                for resolution in options.resolutions:
+                    m = means[resolution]
+                    frame = m["sync"] + samples * m["sample"] + m["denoise"]
+                    shot = m["labels"] + m["develop"] + m["write"]
+                    total = m["build"] + poses * m["pose"] + shots * (shot + lights * frame)
+                    rates.append(f"{3600 * lights * shots / total:.0f}")
+                print(f"| frames per core-hour, {name}, {samples} samples | {' | '.join(rates)} |")
+        print("\n| samples | " + " | ".join(str(s) for s in SAMPLES) + " |")
+        print("|---" * (len(SAMPLES) + 1) + "|")
+        for resolution in options.resolutions[:2]:
+            count = options.subjects
+            tasks = ([resolution] * count, [options.reference] * count)
+            table = np.array(list(pool.map(fidelity, range(count), *tasks)))
+            print(
+                f"| PSNR at {resolution}², dB | "
+                + " | ".join(f"{v:.1f}" for v in table.mean(0))
+                + " |"
+            )
+
+
+if __name__ == "__main__":
+    main()

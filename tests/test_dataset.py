@@ -1,0 +1,227 @@
+"""Reading a dataset: our own API, SQL, webdataset and Hugging Face datasets."""
+
+from __future__ import annotations
+
+import io
+import json
+import pickle
+import subprocess
+import sys
+import tarfile
+from pathlib import Path
+from typing import Any
+
+import fake_renderer
+import numpy as np
+import pytest
+
+from synthgen import export, manifest, pictures, rerender
+from synthgen.dataset import open_dataset
+from synthgen.farm.local import render_job
+from synthgen.ledger import StorageError
+from synthgen.plan import plan
+
+JOB = fake_renderer.small_job()
+
+
+@pytest.fixture(scope="module")
+def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("dataset") / "out"
+    assert render_job(JOB, folder, workers=1, renderer=fake_renderer.RENDERER).complete
+    return folder
+
+
+def test_iterate_and_index(out: Path):
+    dataset = open_dataset(out)
+    assert len(dataset) == 5 * 2 + 3 * 2
+    keys = [f"{shot.meta['subset']}/{shot.key}" for shot in dataset]
+    assert keys == dataset.keys()
+    assert len(set(keys)) == len(keys)
+    assert dataset[-1].key == dataset[len(dataset) - 1].key
+    with pytest.raises(IndexError):
+        dataset[16]
+
+
+def test_by_key(out: Path):
+    dataset = open_dataset(out)
+    shot = dataset["video/s000001_p01"]
+    assert (shot.meta["subset"], shot.key, shot.rgb.shape) == (
+        *("video", "s000001_p01"),
+        (3, 48, 48, 3),
+    )
+    with pytest.raises(KeyError, match="ambiguous: say multiview/s000001_p01 or video/s"):
+        dataset["s000001_p01"]
+    with pytest.raises(KeyError, match="no shot s999999_p00"):
+        dataset["s999999_p00"]
+    assert open_dataset(out, subset="video")["s000001_p01"].meta == shot.meta
+
+
+def test_what_is_read_is_what_was_rendered(out: Path):
+    dataset = open_dataset(out, subset="multiview")
+    subject = plan(JOB).subject("multiview", 3)
+    for rendered in fake_renderer.render_subject(subject, JOB, out / "environments", "", 1).shots:
+        stored = dataset[rendered.key]
+        np.testing.assert_array_equal(stored.depth, rendered.depth)
+        np.testing.assert_array_equal(stored.rgb, rendered.rgb)
+        assert stored.meta == json.loads(json.dumps(rendered.meta))
+
+
+def test_some_fields_only(out: Path):
+    fields = open_dataset(out).read(0, ("depth", "parts", "rgb_01", "hdr_00", "meta"))
+    assert list(fields) == ["depth", "parts", "rgb_01", "hdr_00", "meta"]
+    assert fields["hdr_00"].shape == (48, 48, 4)
+
+
+def test_subsets_splits_and_conditions(out: Path):
+    whole = open_dataset(out)
+    parts = [open_dataset(out, split=s) for s in ("train", "validation", "test")]
+    assert sum(map(len, parts)) == len(whole)
+    assert sorted(k for p in parts for k in p.keys()) == sorted(whole.keys())  # noqa: SIM118
+    frontal = open_dataset(out, where="abs(camera_yaw) < radians(20)")
+    assert 0 < len(frontal) < len(whole)
+    assert all(abs(s.meta["camera"]["sample"]["yaw"]) < np.radians(20) for s in frontal)
+    assert len(open_dataset(out, where="'moon' IN environments")) == 0
+    for arguments, message in (
+        ({"subset": "audio"}, "no subset audio; it has multiview, video"),
+        ({"split": "dev"}, "must be train, validation or test"),
+        ({"where": "colour = 'blue'"}, "where: Binder Error"),
+    ):
+        with pytest.raises(StorageError, match=message):
+            open_dataset(out, **arguments)
+
+
+def test_it_travels_to_other_processes(out: Path):
+    dataset = pickle.loads(pickle.dumps(open_dataset(out)))
+    assert dataset[2].depth.max() > 0
+
+
+def test_environments(out: Path):
+    dataset = open_dataset(out)
+    panorama = dataset.environment("night")
+    assert panorama.dtype == np.float32
+    assert panorama.shape[1:] == (2 * panorama.shape[0], 3)
+    with pytest.raises(KeyError):
+        dataset.environment("moon")
+
+
+def test_query(out: Path):
+    result = manifest.query(
+        out,
+        "SELECT subset, count(DISTINCT subject) AS people, avg(person_age_years) AS age, "
+        "max(expression_jawOpen) AS jaw, sum(cost_beauty) AS seconds "
+        "FROM manifest GROUP BY subset ORDER BY subset",
+    )
+    assert result.column_names == ["subset", "people", "age", "jaw", "seconds"]
+    assert [row["people"] for row in result.to_pylist()] == [5, 3]
+    assert manifest.query(out, "SELECT count(*) FROM video").rows == [(6,)]
+    with pytest.raises(StorageError, match=r"query: .*nonsense"):
+        manifest.query(out, "SELECT nonsense FROM manifest")
+
+
+def test_reading_needs_neither_blender_nor_torch(out: Path):
+    code = (
+        "import sys; from synthgen.dataset import open_dataset; "
+        f"open_dataset({str(out)!r})[0]; "
+        "bad = {'bpy', 'torch', 'anny'} & set(sys.modules); sys.exit(str(bad) if bad else 0)"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def structure(value: Any) -> Any:
+    """The types in a JSON value; fails for what has none."""
+    assert value is not None
+    if isinstance(value, dict):
+        return {name: structure(item) for name, item in value.items()}
+    if isinstance(value, list):
+        kinds = [structure(item) for item in value]
+        assert kinds
+        assert all(kind == kinds[0] for kind in kinds)
+        return [kinds[0]]
+    return type(value).__name__
+
+
+def test_metadata_has_one_type_for_all_samples(out: Path):
+    # Readers that infer a schema from the first samples rely on it.
+    for subset in JOB.subsets:
+        kinds = []
+        for path in sorted((out / "data" / subset).glob("*.tar")):
+            with tarfile.open(path) as archive:
+                for member in archive:
+                    if member.name.endswith(".meta.json"):
+                        kinds.append(structure(json.load(archive.extractfile(member))))  # type: ignore[arg-type]
+        assert all(kind == kinds[0] for kind in kinds)
+
+
+def test_opens_with_webdataset(out: Path):
+    webdataset = pytest.importorskip("webdataset")
+    urls = [str(p) for p in sorted((out / "data/multiview").glob("*.tar"))]
+    samples = list(webdataset.WebDataset(urls, shardshuffle=False).decode("rgb8"))
+    assert len(samples) == 10
+    assert samples[0]["rgb_00.png"].shape == (48, 48, 3)
+    assert samples[0]["meta.json"]["key"] == samples[0]["__key__"].split("/")[-1]
+
+
+def test_opens_with_hugging_face(out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    datasets = pytest.importorskip("datasets", exc_type=ImportError)
+    monkeypatch.setattr(datasets.config, "HF_DATASETS_OFFLINE", True)
+    files = {"train": [str(p) for p in sorted((out / "data/video").glob("train-*.tar"))]}
+    loaded = datasets.load_dataset(
+        "webdataset", data_files=files, split="train", cache_dir=str(tmp_path)
+    )
+    assert len(loaded) == len(open_dataset(out, subset="video", split="train"))
+    assert loaded[0]["rgb_00.png"].size == (48, 48)
+    assert (
+        np.load(io.BytesIO(loaded[0]["geometry.npz"]))["landmarks"].shape == (70, 3)
+        if (isinstance(loaded[0]["geometry.npz"], bytes))
+        else loaded[0]["geometry.npz"]
+    )
+    by_card = datasets.load_dataset(
+        str(out), "multiview", split="train", cache_dir=str(tmp_path / "card")
+    )
+    assert len(by_card) == len(open_dataset(out, subset="multiview", split="train"))
+
+
+def test_rerender_comes_out_the_same(out: Path):
+    report = rerender.rerender(out, "s000002_p01", subset="multiview")
+    assert report.identical, str(report)
+    assert "s000002_p01: identical" in str(report)
+    with pytest.raises(StorageError, match="no shot"):
+        rerender.rerender(out, "s999999_p00")
+
+
+def test_rerender_reports_a_difference(out: Path):
+    shot = open_dataset(out)[0]
+    other = open_dataset(out)[0]
+    other.depth = other.depth + np.float32(0.5)
+    report = rerender.compare(shot, other)
+    assert not report.identical
+    assert report.fields["depth"].largest == pytest.approx(0.5)
+    assert report.fields["normal"].share == 0
+
+
+def test_export_to_nerfstudio(out: Path, tmp_path: Path):
+    target = export.nerfstudio(out, tmp_path / "nerf")
+    files = sorted(target.rglob("transforms.json"))
+    assert len(files) == 5 * 2 + 3 * 3
+    for path in files:
+        transforms = json.loads(path.read_text())
+        for frame in transforms["frames"]:
+            for name in ("file_path", "mask_path", "depth_file_path"):
+                assert (path.parent / frame[name]).exists()
+            assert np.shape(frame["transform_matrix"]) == (4, 4)
+            assert ("time" in frame) == ("video" in path.parts)
+    with pytest.raises(StorageError, match="give a new folder"):
+        export.nerfstudio(out, tmp_path / "nerf")
+
+
+def test_pictures(out: Path, tmp_path: Path):
+    from PIL import Image
+
+    shown = pictures.show(out, "s000001_p01", tmp_path / "show.png", subset="video")
+    sheet = pictures.sheet(out, tmp_path / "sheet.png")
+    for path in (shown, sheet):
+        with Image.open(path) as image:
+            assert image.width > 1000
+            assert np.asarray(image).std() > 10
+    with pytest.raises(StorageError, match="ambiguous"):
+        pictures.show(out, "s000001_p01", tmp_path / "no.png")

@@ -1,0 +1,85 @@
+"""dataset.json, the card and Croissant."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import fake_renderer
+import pytest
+import yaml
+
+from synthgen import ledger, publish
+from synthgen.farm.local import render_job
+from synthgen.shards import sha256
+
+JOB = fake_renderer.small_job()
+
+
+@pytest.fixture(scope="module")
+def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("publish") / "out"
+    assert render_job(JOB, folder, workers=1, renderer=fake_renderer.RENDERER).complete
+    return folder
+
+
+def test_dataset_json_tells_everything(out: Path):
+    info = ledger.read_dataset_json(out)
+    assert info["format"] == 1
+    assert info["job"]["seed"] == JOB.seed
+    assert info["code"]["version"]
+    assert info["renderer"] == fake_renderer.RENDERER
+    assert [e["id"] for e in info["environments"]] == ["city", "night", "studio"]
+    assert all(e["licence"] for e in info["environments"] + info["licences"])
+    assert publish.totals(info) == {"subjects": 8, "shots": 16, "frames": 38}
+    for shard in info["shards"]:
+        assert sha256(out / shard["tar"]) == shard["sha256"]
+    for name, digest in info["files"].items():
+        assert sha256(out / name) == digest
+
+
+def test_completing_again_changes_nothing(out: Path):
+    names = ("dataset.json", "README.md", "croissant.json")
+    before = [(out / name).read_bytes() for name in names]
+    assert publish.complete(out)
+    assert [(out / name).read_bytes() for name in names] == before
+
+
+def test_card_has_configs_with_files(out: Path):
+    _, header, text = (out / "README.md").read_text().split("---\n", 2)
+    configs = yaml.safe_load(header)["configs"]
+    assert [c["config_name"] for c in configs] == ["multiview", "video"]
+    for config in configs:
+        assert config["data_files"]
+        for entry in config["data_files"]:
+            assert entry["split"] in ("train", "validation", "test")
+            assert list(out.glob(entry["path"])), entry
+    assert "38 synthetic portraits of 8 people" in text
+    assert "Apache-2.0" in text
+
+
+def test_croissant_names_what_exists(out: Path):
+    croissant = json.loads((out / "croissant.json").read_text())
+    assert croissant["conformsTo"] == "http://mlcommons.org/croissant/1.1"
+    objects = {d["@id"]: d for d in croissant["distribution"]}
+    for entry in objects.values():
+        if entry["@type"] == "cr:FileObject":
+            assert sha256(out / entry["contentUrl"]) == entry["sha256"]
+        else:
+            assert list(out.glob(entry["includes"]))
+    for records in croissant["recordSet"]:
+        for field in records["field"]:
+            assert field["source"]["fileObject"]["@id"] in objects
+
+
+def test_croissant_is_valid_for_mlcroissant(out: Path):
+    mlcroissant = pytest.importorskip("mlcroissant")
+    dataset = mlcroissant.Dataset(out / "croissant.json")
+    assert next(iter(dataset.records("multiview")))
+
+
+def test_an_unfinished_dataset_has_no_card(tmp_path: Path):
+    summary = render_job(JOB, tmp_path / "out", workers=1, renderer=fake_renderer.RENDERER, limit=1)
+    assert not summary.complete
+    assert not (tmp_path / "out" / "README.md").exists()
+    assert not publish.complete(tmp_path / "out")

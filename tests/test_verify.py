@@ -1,0 +1,243 @@
+"""`verify` passes what is sound and names every kind of damage."""
+
+from __future__ import annotations
+
+import io
+import json
+import shutil
+import tarfile
+from collections.abc import Callable
+from pathlib import Path
+
+import duckdb
+import fake_renderer
+import numpy as np
+import pytest
+
+from synthgen import ledger, manifest
+from synthgen.farm.local import render_job
+from synthgen.shards import decode, encode, sha256, tar_entry
+from synthgen.verify import verify
+
+JOB = fake_renderer.small_job()
+TAR = "data/multiview/train-000000.tar"
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("sound") / "out"
+    assert render_job(JOB, out, workers=1, renderer=fake_renderer.RENDERER).complete
+    return out
+
+
+@pytest.fixture
+def out(sound: Path, tmp_path: Path) -> Path:
+    shutil.copytree(sound, tmp_path / "out")
+    return tmp_path / "out"
+
+
+def edit_json(path: Path, change: Callable[[dict], None]) -> None:
+    data = json.loads(path.read_bytes())
+    change(data)
+    path.write_text(json.dumps(data))
+
+
+def rewrite(out: Path, change: Callable[[dict[str, bytes]], dict[str, bytes]], seal: bool) -> None:
+    """Change the first sample of a shard; with `seal`, forge all checksums to agree with it."""
+    path = out / TAR
+    with tarfile.open(path) as archive:
+        members = {m.name: archive.extractfile(m).read() for m in archive}  # type: ignore[union-attr]
+    key = next(iter(members)).split(".")[0]
+    own = {n.split(".", 1)[1]: d for n, d in members.items() if n.startswith(f"{key}.")}
+    entries = [tar_entry(f"{key}.{n}", d) for n, d in change(own).items()]
+    entries += [tar_entry(n, d) for n, d in members.items() if not n.startswith(f"{key}.")]
+    data = b"".join(entries) + bytes(1024)
+    path.write_bytes(data + bytes(-len(data) % tarfile.RECORDSIZE))
+    if seal:
+        record = ledger.record_file(out, "multiview", "train-000000")
+        seals = {"bytes": path.stat().st_size, "sha256": sha256(path)}
+        edit_json(record, lambda r: r.update(seals))
+
+
+def edit_parquet(path: Path, sql: str) -> None:
+    other = path.with_suffix(".new")
+    duckdb.sql(f"COPY (SELECT {sql} FROM '{path}') TO '{other}' (FORMAT parquet)")
+    other.replace(path)
+
+
+def change_shot(change: Callable) -> Callable[[dict[str, bytes]], dict[str, bytes]]:
+    def apply(members: dict[str, bytes]) -> dict[str, bytes]:
+        shot = decode("k", members)
+        change(shot)
+        return encode(shot)
+
+    return apply
+
+
+def poison(shot) -> None:
+    shot.depth = np.array(shot.depth)
+    shot.depth[20, 20] = np.nan
+
+
+def without(name: str) -> Callable[[dict[str, bytes]], dict[str, bytes]]:
+    return lambda members: {n: d for n, d in members.items() if n != name}
+
+
+def flip(path: Path, position: int) -> None:
+    data = bytearray(path.read_bytes())
+    data[position] ^= 0x10
+    path.write_bytes(data)
+
+
+def truncate(path: Path, by: int) -> None:
+    path.write_bytes(path.read_bytes()[:-by])
+
+
+def forge_manifest(out: Path, sql: str) -> None:
+    """An edit of the manifest with its checksum: the shards' content still gives it away."""
+    path = out / "manifest/multiview.parquet"
+    edit_parquet(path, sql)
+    digest = sha256(path)
+    edit_json(
+        out / "dataset.json", lambda d: d["files"].update({"manifest/multiview.parquet": digest})
+    )
+
+
+def other_person(shot) -> None:
+    shot.meta["person"]["age_years"] += 3
+
+
+DAMAGE: dict[str, tuple[Callable[[Path], object], str]] = {
+    "truncated tar": (lambda o: truncate(o / TAR, 20_000), "truncated or overwritten"),
+    "flipped byte": (lambda o: flip(o / TAR, 5000), "changed since it was written"),
+    "flipped byte in the padding": (lambda o: flip(o / TAR, -1), "changed since it was written"),
+    "missing shard": (lambda o: (o / TAR).unlink(), f"{TAR}: missing"),
+    "missing shard and record": (
+        lambda o: ((o / TAR).unlink(), ledger.record_file(o, "multiview", "train-000000").unlink()),
+        f"{TAR}: missing",
+    ),
+    "NaN under forged checksums": (
+        lambda o: rewrite(o, change_shot(poison), seal=True),
+        "depth has 1 NaN",
+    ),
+    "missing member": (
+        lambda o: rewrite(o, without("alpha.png"), seal=True),
+        "alpha.png is missing",
+    ),
+    "missing picture": (lambda o: rewrite(o, without("rgb_01.png"), seal=True), "rgb is uint8"),
+    "empty tar": (lambda o: (o / TAR).write_bytes(b""), "0 bytes instead of"),
+    "other person": (
+        lambda o: rewrite(o, change_shot(other_person), seal=True),
+        "person in meta.json is not what the job plans",
+    ),
+    "edited manifest": (
+        lambda o: edit_parquet(o / "manifest/multiview.parquet", "* REPLACE (0 AS pose)"),
+        "manifest/multiview.parquet: changed since",
+    ),
+    "edited manifest under forged checksums": (
+        lambda o: forge_manifest(o, "* REPLACE (person_age_years + 1 AS person_age_years)"),
+        "the manifest's person_age_years",
+    ),
+    "renamed manifest rows under forged checksums": (
+        lambda o: forge_manifest(o, "* REPLACE ('x' || key AS key)"),
+        "not in the manifest",
+    ),
+    "missing manifest": (
+        lambda o: (o / "manifest/video.parquet").unlink(),
+        "manifest/video.parquet: missing",
+    ),
+    "missing environment": (
+        lambda o: (o / "environments/night.exr").unlink(),
+        "environments/night.exr: missing",
+    ),
+    "damaged environment": (
+        lambda o: flip(o / "environments/city.exr", 90_000),
+        "environments/city.exr: changed",
+    ),
+    "wrong counts": (
+        lambda o: edit_json(
+            o / "dataset.json", lambda d: d["counts"]["video"]["train"].update(frames=7)
+        ),
+        "dataset.json: counts 7 frames",
+    ),
+    "other seed": (
+        lambda o: edit_json(o / "dataset.json", lambda d: d["job"].update(seed=4)),
+        "does not list the subjects that the plan puts there",
+    ),
+    "invalid job": (
+        lambda o: edit_json(o / "dataset.json", lambda d: d["job"].update(samples=-1)),
+        "unusable job",
+    ),
+    "missing mesh": (
+        lambda o: next((o / "subjects/video").glob("*.glb")).unlink(),
+        ".glb is missing",
+    ),
+    "changed mesh": (
+        lambda o: next((o / "subjects/video").glob("*.glb")).write_bytes(b"glTF"),
+        ".glb changed since it was written",
+    ),
+    "missing card": (lambda o: (o / "README.md").unlink(), "README.md: missing"),
+    "broken croissant": (
+        lambda o: (o / "croissant.json").write_text("{"),
+        "croissant.json: not valid JSON",
+    ),
+    "unknown shard": (
+        lambda o: shutil.copy(o / TAR, o / "data/multiview/train-000009.tar"),
+        "a shard that the job does not have",
+    ),
+    "incomplete": (
+        lambda o: edit_json(o / "dataset.json", lambda d: d.update(complete=False)),
+        "not complete",
+    ),
+    "swapped shards": (
+        lambda o: shutil.copy(o / "data/multiview/train-000001.tar", o / TAR),
+        "multiview/train-000000.tar",
+    ),
+}
+
+
+def test_a_sound_dataset_has_no_problem(sound: Path):
+    assert verify(sound) == []
+
+
+@pytest.mark.parametrize("name", DAMAGE)
+def test_damage_is_caught(out: Path, name: str):
+    damage, message = DAMAGE[name]
+    damage(out)
+    problems = verify(out)
+    assert any(message in problem for problem in problems), problems
+    assert all("\n" not in problem for problem in problems)
+
+
+def test_every_region_of_a_shard_is_covered(out: Path):
+    path = out / TAR
+    rng = np.random.default_rng(0)
+    for position in rng.integers(path.stat().st_size, size=12):
+        flip(path, int(position))
+        assert verify(out), f"byte {position}"
+        flip(path, int(position))
+    assert verify(out) == []
+
+
+def test_large_datasets_are_checked_by_processes(sound: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("synthgen.verify.PARALLEL_BYTES", 0)
+    assert verify(sound, workers=2) == []
+
+
+def test_no_dataset_is_one_line(tmp_path: Path):
+    with pytest.raises(ledger.StorageError, match="no dataset here"):
+        verify(tmp_path)
+    (tmp_path / "dataset.json").write_text('{"format": 99}')
+    assert verify(tmp_path) == ["dataset.json: format 99, not 1"]
+
+
+def test_io_is_what_the_manifest_says(sound: Path):
+    for row in manifest.query(sound, "SELECT shard, members FROM manifest").to_pylist():
+        with (sound / row["shard"]).open("rb") as file:
+            for member in row["members"]:
+                file.seek(member["offset"])
+                content = file.read(member["size"])
+                if member["name"].endswith(".png"):
+                    assert content.startswith(b"\x89PNG")
+                elif member["name"].endswith(".npz"):
+                    assert np.load(io.BytesIO(content))["landmarks"].shape == (70, 3)
