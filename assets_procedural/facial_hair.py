@@ -50,7 +50,7 @@ def brows(person: Person, identity: Identity, rng: np.random.Generator) -> list[
         -(((_BROW_X - 0.039) / 0.012) ** 2)
     )
     start = 0.0005 * reach - 0.0015 * male * look.random()
-    half = _BROW_HALF * (0.62 + 0.75 * person.brows.thickness + 0.15 * male)
+    half = _BROW_HALF * (0.55 + 0.7 * person.brows.thickness + 0.22 * male)
     pieces = []
     for name, part, sign in (
         ("brow_left", Part.LEFT_BROW, 1),
@@ -66,12 +66,12 @@ def brows(person: Person, identity: Identity, rng: np.random.Generator) -> list[
 
         def density(points: np.ndarray, roots: Roots, across=across) -> np.ndarray:
             x, v = across(points)
-            body = smoothstep(1.25, 0.55, np.abs(v)) * (points[:, 1] < -0.10)
-            head = smoothstep(_BROW_X[0] + start - 0.001, _BROW_X[0] + start + 0.008, x)
+            body = smoothstep(1.3, 0.3, np.abs(v)) * (points[:, 1] < -0.10)
+            head = smoothstep(_BROW_X[0] + start - 0.001, _BROW_X[0] + start + 0.011, x)
             tail = smoothstep(_BROW_X[-1] + start + 0.001, _BROW_X[-1] + start - 0.006, x)
-            return body * (0.25 + 0.75 * head) * (x > _BROW_X[0] + start - 0.001) * tail
+            return body * (0.12 + 0.88 * head) * (x > _BROW_X[0] + start - 0.001) * tail
 
-        count = int((260 + 420 * person.brows.density) * (0.75 + 0.5 * person.brows.thickness))
+        count = int((170 + 330 * person.brows.density) * (0.75 + 0.5 * person.brows.thickness))
         roots = sample_roots(identity, density, count, rng)
         x, v = across(roots.of(identity.model.template))
         along = np.clip((x - _BROW_X[0]) / 0.045, 0, 1)
@@ -80,7 +80,7 @@ def brows(person: Person, identity: Identity, rng: np.random.Generator) -> list[
         angle = np.radians(angle - 22 * np.clip(v, -1, 1) * smoothstep(0.05, 0.4, along))
         angle += rng.normal(0, 0.16, len(x))
         flow = np.stack([sign * np.cos(angle), np.full(len(x), -0.05), np.sin(angle)], axis=1)
-        length = rng.uniform(0.0045, 0.0085, len(x)) * (1 - 0.35 * along)
+        length = rng.uniform(0.004, 0.009, len(x)) * (1 - 0.35 * along)
         strands = _lying(identity, roots, flow, length, 6, lift=0.35, hug=0.0007)
         strands = _locked(strands, 5, 0.3, rng)
         strands = wander(strands, 0.00035, rng)
@@ -128,7 +128,9 @@ def lashes(person: Person, identity: Identity, rng: np.random.Generator) -> list
             along = np.linspace(0, 1, 6)[None, :, None]
             reach = length[:, None, None]
             curl = rng.uniform(0.6, 0.85, (count, 1, 1))
-            strands = reach * (out[:, None] * (along - 0.25 * curl * along**2) + bend * curl * along**2)
+            strands = reach * (
+                out[:, None] * (along - 0.25 * curl * along**2) + bend * curl * along**2
+            )
             strands = roots.of(identity.rest)[:, None] + strands
             tips = _locked(strands, 3, 0.55, rng)
             all_roots.append(roots)

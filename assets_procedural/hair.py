@@ -43,7 +43,7 @@ WHORL = np.array([0.008, 0.012, 0.849])
 _HAIRLINE = np.array(
     [
         (0, 32.5), (12, 32.5), (24, 34), (34, 35), (44, 32), (52, 25), (58, 16), (63, 7),
-        (67, -6), (70, -24), (75, -30), (79, -20), (84, -1), (92, 3), (102, 1), (109, -8),
+        (67, -6), (70, -24), (75, -30), (79, -22), (84, -6), (92, -4), (102, -5), (109, -12),
         (115, -32), (124, -45), (150, -53), (180, -55),
     ],
     float,
@@ -83,6 +83,15 @@ def combed_from_parting(field: Field) -> np.ndarray:
     return unit(front * unit(apart) + (1 - front) * combed_from_whorl(field))
 
 
+def combed_loosely(field: Field) -> np.ndarray:
+    """Away from the middle without a parting, a little back at the front."""
+    front = smoothstep(0.035, -0.04, field.root[:, 1])[:, None]
+    back = 0.1 + 0.5 * smoothstep(-0.09, -0.14, field.root[:, 1])
+    x = np.tanh(field.root[:, 0] / 0.025) + 0.25 * field.side
+    apart = np.stack([x, back, np.full(len(back), -0.1)], axis=1)
+    return unit(front * unit(apart) + (1 - front) * combed_from_whorl(field))
+
+
 def combed_back(field: Field) -> np.ndarray:
     """Straight back over the top, back and down along the sides."""
     low = smoothstep(0.80, 0.70, field.root[:, 2])
@@ -93,9 +102,7 @@ def combed_back(field: Field) -> np.ndarray:
 def combed_across(field: Field) -> np.ndarray:
     """The top swept over from a side parting and back, the sides down and back."""
     top = smoothstep(0.77, 0.80, field.root[:, 2])[:, None]
-    over = np.stack(
-        [field.side, np.full(len(top), 0.55), np.zeros(len(top))], axis=1
-    )
+    over = np.stack([field.side, np.full(len(top), 0.55), np.zeros(len(top))], axis=1)
     down = np.stack([np.zeros(len(top)), np.full(len(top), 0.45), -np.ones(len(top))], axis=1)
     return unit(top * unit(over) + (1 - top) * unit(down))
 
@@ -186,8 +193,8 @@ STYLES: dict[str, Style | None] = {
         reach=0.2, gravity=0.15, volume=0.016, tousle=0.3, lock=(60, 0.65), stray=0.003,
     ),
     "side_part": Style(
-        combed_across, (0.065, 0.09), sides=0.32, count=42000, points=9, lift=0.55, reach=0.15,
-        gravity=0.2, volume=0.020, tousle=0.2, lock=(80, 0.5), stray=0.004, parted=True,
+        combed_across, (0.065, 0.09), sides=0.32, count=42000, points=9, lift=0.4, reach=0.15,
+        gravity=0.2, volume=0.016, tousle=0.2, lock=(80, 0.5), stray=0.004, parted=True,
     ),
     "slick_back": Style(
         combed_back, (0.09, 0.14), sides=0.6, count=36000, points=9, lift=0.45, reach=0.3,
@@ -195,8 +202,8 @@ STYLES: dict[str, Style | None] = {
         roughness=0.25,
     ),
     "pixie": Style(
-        combed_across, (0.07, 0.10), sides=0.55, count=42000, points=9, lift=0.5, reach=0.10,
-        gravity=0.35, volume=0.016, tousle=0.4, lock=(50, 0.5), stray=0.004, parted=True,
+        combed_across, (0.07, 0.10), sides=0.55, count=42000, points=9, lift=0.4, reach=0.06,
+        gravity=0.6, volume=0.016, tousle=0.4, lock=(50, 0.5), stray=0.004, parted=True,
     ),
     "bob": Style(
         combed_from_parting, (0.34, 0.34), cut=(0.64, 0.60), count=34000, points=12, volume=0.022,
@@ -212,13 +219,13 @@ STYLES: dict[str, Style | None] = {
     ),
     "long_wavy": Style(
         combed_from_parting, (0.46, 0.5), cut=(0.56, 0.46), count=30000, points=18, parted=True,
-        volume=0.028, lift=0.5, tousle=0.2, wave=(0.012, 0.085), flat=0.5, lock=(170, 0.8),
+        volume=0.028, lift=0.5, tousle=0.2, wave=(0.014, 0.09), flat=0.4, lock=(200, 1.4),
         stray=0.006,
     ),
     "curly": Style(
-        combed_from_parting, (0.14, 0.26), count=28000, points=24, volume=0.042, lift=0.7,
-        reach=0.06, gravity=0.5, tousle=0.6, wave=(0.0075, 0.036), flat=0.0, lock=(75, 0.95),
-        stray=0.006, flyaway=0.06, sides=0.85, parted=True,
+        combed_loosely, (0.14, 0.26), count=24000, points=22, radius=6.5e-5, volume=0.040,
+        lift=0.7, reach=0.06, gravity=0.5, tousle=0.6, wave=(0.0105, 0.048), flat=0.0,
+        lock=(130, 2.2), stray=0.003, flyaway=0.06, sides=0.85,
     ),
     "afro": Style(
         upright, (0.05, 0.11), count=44000, points=14, radius=5e-5, lift=1.0, reach=9,
@@ -293,7 +300,7 @@ def _scalp_density(person: Person, style: Style, ears: np.ndarray, soft: float) 
         offset = points - SKULL_CENTRE
         front = np.exp(-((np.degrees(np.arctan2(offset[:, 0], -offset[:, 1])) / 60) ** 2))
         width = soft * (0.7 + 0.6 * front)
-        grown = smoothstep(-width, width, inside) * smoothstep(0.5, 0.1, roots.of(ears))
+        grown = smoothstep(-width, width, inside) * smoothstep(0.7, 0.35, roots.of(ears))
         grown = grown * (0.4 + 0.6 * _bare_risk(points, inside, style, person))
         if style.crown > 0:
             # What pattern baldness leaves: a wreath, and down on the top.
@@ -304,9 +311,7 @@ def _scalp_density(person: Person, style: Style, ears: np.ndarray, soft: float) 
     return density
 
 
-def _bare_risk(
-    points: np.ndarray, inside: np.ndarray, style: Style, person: Person
-) -> np.ndarray:
+def _bare_risk(points: np.ndarray, inside: np.ndarray, style: Style, person: Person) -> np.ndarray:
     """Where hair only leaves and none arrives to cover the skin, (R,) in [0, 1].
 
     At a parting, the whorl and the front hairline hair must grow denser for the same cover.
@@ -372,7 +377,9 @@ def _grown(
     ids, weights = spread(guides[:, 0], guide_side, roots, side)
     strands = roots[:, None] + mix(guides - guides[:, :1], ids, weights)
     if style.tie is not None:
-        strands, guides, ids, weights = _tied(style, person, frame, strands, guides, ids, weights, rng)
+        strands, guides, ids, weights = _tied(
+            style, person, frame, strands, guides, ids, weights, rng
+        )
         child_at = np.resize(child_at, (len(strands), 3))
         side = np.append(side, np.zeros(len(strands) - len(side), int))
         count = len(strands)
@@ -483,7 +490,9 @@ def _grow(
     guides = np.stack(path, axis=1)
     if style.tie is not None:
         # Draw the ends together exactly.
-        miss = frame.to_rest(np.asarray(style.tie)) + rng.normal(0, 0.004, root.shape) - guides[:, -1]
+        miss = (
+            frame.to_rest(np.asarray(style.tie)) + rng.normal(0, 0.004, root.shape) - guides[:, -1]
+        )
         guides += miss[:, None] * smoothstep(0.3, 1, np.linspace(0, 1, _STEPS + 1))[:, None]
     return guides
 
@@ -508,8 +517,10 @@ def _tied(
     if style.tail == "ponytail":
         length = 0.16 + 0.22 * person.hair.length
         # A falling arc: thrown off the skull, then down.
-        path = np.stack([0 * along, 0.055 * (1 - np.exp(-along * length / 0.03)), 0 * along], axis=1)
-        path += out * (0.02 * (1 - np.exp(-along * length / 0.02)))[:, None]
+        path = np.stack(
+            [0 * along, 0.022 * (1 - np.exp(-along * length / 0.03)), 0 * along], axis=1
+        )
+        path += out * (0.012 * (1 - np.exp(-along * length / 0.02)))[:, None]
         path[:, 2] -= np.maximum(along * length - 0.03 * (1 - np.exp(-along * length / 0.03)), 0)
         width = 0.009 + 0.02 * np.sin(np.pi * np.clip(along * 0.85 + 0.05, 0, 1)) ** 0.8
         fresh = tie + path + disc[:, None] * width[:, None]
@@ -564,13 +575,15 @@ def _detailed(
     size, strength = style.lock
     leader = locks(strands[:, 0], side, size, rng)
     if strength > 0:
-        pull = strength * rng.uniform(0.5, 1.2, count).clip(0, 1 / strength)
+        pull = strength * rng.uniform(0.5, 1.2, count)
         if style.tail == "bun":
             pull = np.where(tail, 0, pull)
-        strands = clump(strands, locks(strands[:, 0], side, size / 6, rng), 0.7 * pull)
+        strands = clump(strands, locks(strands[:, 0], side, size / 6, rng), 0.6 * pull)
         strands = clump(strands, leader, pull)
     fly = rng.random(count) < style.flyaway
-    stray = style.stray * rng.uniform(0.3, 1, count) * np.where(fly, 3.5, 1) * np.where(baby, 0.6, 1)
+    stray = (
+        style.stray * rng.uniform(0.3, 1, count) * np.where(fly, 3.5, 1) * np.where(baby, 0.6, 1)
+    )
     if style.tail == "bun":
         stray = np.where(tail & ~fly, stray * 0.5, stray)
     strands = wander(strands, stray, rng)

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from assets_procedural.distill import BONES
-from assets_procedural.motion import Pose
+from assets_procedural.motion import Pose, lid_following
 from assets_procedural.person import Person
 
 # How a turn of the head is shared by the cervical chain; the shares add up to the whole turn.
@@ -33,8 +33,6 @@ _PHENOTYPE_ANCHORS = {
     "cupsize": ("mincup", "averagecup", "maxcup"),
     "firmness": ("minfirmness", "averagefirmness", "maxfirmness"),
 }
-# Gaze angle (radians) at which an eyelid shape of ARKit's eyeLook family is fully on.
-_LID_FULL_TURN = np.radians(25.0)
 FORMAT = 1
 
 
@@ -244,23 +242,6 @@ class Bust:
             name: self.bones[name][:3, :3] @ joint[name] + self.bones[name][:3, 3]
             for name in ("eye_left", "eye_right")
         }
-
-
-def lid_following(pose: Pose) -> dict[str, float]:
-    """The pose's expression with ARKit's eyeLook values that its gaze implies for the lids."""
-    yaw, pitch = pose.gaze
-    level = {
-        "eyeLookOutLeft": yaw,
-        "eyeLookInRight": yaw,
-        "eyeLookInLeft": -yaw,
-        "eyeLookOutRight": -yaw,
-        "eyeLookUpLeft": pitch,
-        "eyeLookUpRight": pitch,
-        "eyeLookDownLeft": -pitch,
-        "eyeLookDownRight": -pitch,
-    }
-    implied = {k: min(v / _LID_FULL_TURN, 1.0) for k, v in level.items() if v > 0}
-    return {**pose.expression, **implied}
 
 
 def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:

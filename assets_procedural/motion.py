@@ -19,16 +19,59 @@ from assets_procedural.expressions import (
 from assets_procedural.person import Parameters
 from assets_procedural.settings import Interval, Settings, interval
 
-ARKIT_NAMES: tuple[str, ...] = tuple(
-    """browDownLeft browDownRight browInnerUp browOuterUpLeft browOuterUpRight cheekPuff
-    cheekSquintLeft cheekSquintRight eyeBlinkLeft eyeBlinkRight eyeLookDownLeft eyeLookDownRight
-    eyeLookInLeft eyeLookInRight eyeLookOutLeft eyeLookOutRight eyeLookUpLeft eyeLookUpRight
-    eyeSquintLeft eyeSquintRight eyeWideLeft eyeWideRight jawForward jawLeft jawOpen jawRight
-    mouthClose mouthDimpleLeft mouthDimpleRight mouthFrownLeft mouthFrownRight mouthFunnel mouthLeft
-    mouthLowerDownLeft mouthLowerDownRight mouthPressLeft mouthPressRight mouthPucker mouthRight
-    mouthRollLower mouthRollUpper mouthShrugLower mouthShrugUpper mouthSmileLeft mouthSmileRight
-    mouthStretchLeft mouthStretchRight mouthUpperUpLeft mouthUpperUpRight noseSneerLeft
-    noseSneerRight tongueOut""".split()
+ARKIT_NAMES: tuple[str, ...] = (
+    "browDownLeft",
+    "browDownRight",
+    "browInnerUp",
+    "browOuterUpLeft",
+    "browOuterUpRight",
+    "cheekPuff",
+    "cheekSquintLeft",
+    "cheekSquintRight",
+    "eyeBlinkLeft",
+    "eyeBlinkRight",
+    "eyeLookDownLeft",
+    "eyeLookDownRight",
+    "eyeLookInLeft",
+    "eyeLookInRight",
+    "eyeLookOutLeft",
+    "eyeLookOutRight",
+    "eyeLookUpLeft",
+    "eyeLookUpRight",
+    "eyeSquintLeft",
+    "eyeSquintRight",
+    "eyeWideLeft",
+    "eyeWideRight",
+    "jawForward",
+    "jawLeft",
+    "jawOpen",
+    "jawRight",
+    "mouthClose",
+    "mouthDimpleLeft",
+    "mouthDimpleRight",
+    "mouthFrownLeft",
+    "mouthFrownRight",
+    "mouthFunnel",
+    "mouthLeft",
+    "mouthLowerDownLeft",
+    "mouthLowerDownRight",
+    "mouthPressLeft",
+    "mouthPressRight",
+    "mouthPucker",
+    "mouthRight",
+    "mouthRollLower",
+    "mouthRollUpper",
+    "mouthShrugLower",
+    "mouthShrugUpper",
+    "mouthSmileLeft",
+    "mouthSmileRight",
+    "mouthStretchLeft",
+    "mouthStretchRight",
+    "mouthUpperUpLeft",
+    "mouthUpperUpRight",
+    "noseSneerLeft",
+    "noseSneerRight",
+    "tongueOut",
 )
 
 
@@ -41,9 +84,30 @@ class Pose(Parameters):
     defines it (+y), yaw to the subject's left.
     """
 
-    expression: dict[str, float] = {}
+    expression: dict[str, float] = Field(default_factory=dict)
     gaze: tuple[float, float] = (0.0, 0.0)
     head: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+# Gaze angle (radians) at which an eyelid shape of ARKit's eyeLook family is fully on.
+_LID_FULL_TURN = np.radians(25.0)
+
+
+def lid_following(pose: Pose) -> dict[str, float]:
+    """The pose's expression with ARKit's eyeLook values that its gaze implies for the lids."""
+    yaw, pitch = pose.gaze
+    level = {
+        "eyeLookOutLeft": yaw,
+        "eyeLookInRight": yaw,
+        "eyeLookInLeft": -yaw,
+        "eyeLookOutRight": -yaw,
+        "eyeLookUpLeft": pitch,
+        "eyeLookUpRight": pitch,
+        "eyeLookDownLeft": -pitch,
+        "eyeLookDownRight": -pitch,
+    }
+    implied = {k: min(v / _LID_FULL_TURN, 1.0) for k, v in level.items() if v > 0}
+    return {**pose.expression, **implied}
 
 
 class PoseSettings(Settings):

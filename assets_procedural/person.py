@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field
 
 Colour = tuple[float, float, float]
 
@@ -104,9 +104,9 @@ class Person(Parameters):
     """
 
     age_years: float = 35.0
-    phenotypes: dict[str, float] = {}
-    shape: dict[str, float] = {}
-    asymmetry: dict[str, float] = {}
+    phenotypes: dict[str, float] = Field(default_factory=dict)
+    shape: dict[str, float] = Field(default_factory=dict)
+    asymmetry: dict[str, float] = Field(default_factory=dict)
     skin: Skin = Skin()
     eyes: Eyes = Eyes()
     hair: Hair = Hair()

@@ -92,7 +92,9 @@ def skin_fields(person: Person, model: HeadModel) -> SkinFields:
         colour=np.clip(colour, 0.005, 0.9),
         roughness=np.clip(roughness, 0.15, 0.8),
         lips=np.clip(zone["lips"], 0, 1),
-        freckles=np.clip(skin.freckles * (zone["cheeks"] + zone["nose"]) + 0.1 * skin.freckles, 0, 1),
+        freckles=np.clip(
+            skin.freckles * (zone["cheeks"] + zone["nose"]) + 0.1 * skin.freckles, 0, 1
+        ),
         wrinkles=np.clip(wrinkling, 0, 1),
         pores=np.clip(0.35 + 0.65 * np.maximum(zone["t_zone"], zone["cheeks"]), 0, 1),
         stubble=np.clip(shadow, 0, 1),

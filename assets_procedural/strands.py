@@ -217,9 +217,7 @@ def mix(values: np.ndarray, ids: np.ndarray, weights: np.ndarray) -> np.ndarray:
     return result
 
 
-def locks(
-    roots: np.ndarray, side: np.ndarray, size: float, rng: np.random.Generator
-) -> np.ndarray:
+def locks(roots: np.ndarray, side: np.ndarray, size: float, rng: np.random.Generator) -> np.ndarray:
     """The leading strand (N,) of every strand's lock, locks holding about `size` strands."""
     count = max(int(len(roots) / size), 1)
     centres = rng.permutation(len(roots))[:count]
@@ -235,7 +233,7 @@ def clump(strands: np.ndarray, leader: np.ndarray, strength: np.ndarray | float)
     along = np.linspace(0, 1, strands.shape[1])
     profile = along**1.3 * (1 - 0.25 * along)
     pull = np.broadcast_to(np.asarray(strength), (len(strands),))[:, None] * profile
-    offset = (strands[leader] - strands) * pull[..., None]
+    offset = (strands[leader] - strands) * np.minimum(pull, 0.96)[..., None]
     reach = np.linalg.norm(np.diff(strands, axis=1), axis=2).sum(axis=1)
     moved = np.linalg.norm(offset[:, -1], axis=1)
     return strands + offset * np.minimum(1, 0.33 * reach / np.maximum(moved, 1e-9))[:, None, None]
@@ -306,23 +304,23 @@ def colouring(
 ) -> dict[str, Any]:
     """Shading inputs of `count` strands.
 
-    Grey hair is a mix of white and pigmented strands: `grey` is the (local) share of white ones.
-    Per strand: `strand_random` (N,) uniform, `strand_grey` (N,) whiteness, `strand_melanin` (N,).
+    Grey hair is a mix of white and pigmented strands: a strand is white where its `strand_random`
+    (N,) in [0, 1) is below `grey`. Where `grey` is local, (N,), the random numbers are stretched
+    so that the mean share gives each place its own.
     """
     share = np.broadcast_to(np.asarray(grey, float), (count,))
+    mean = float(share.mean()) if count else 0.0
     random = rng.random(count)
-    whiteness = smoothstep(-0.12, 0.12, share * 1.24 - 0.12 - rng.random(count))
-    pigment = np.clip(melanin * (1 + 0.1 * rng.normal(size=count)), 0.02, 1.0)
-    white = 0.05 + 0.06 * random
+    white = random < share
+    low = random * mean / np.maximum(share, 1e-9)
+    high = mean + (random - share) * (1 - mean) / np.maximum(1 - share, 1e-9)
     return {
         "melanin": float(melanin),
         "redness": float(redness),
-        "grey": float(share.mean()) if count else 0.0,
+        "grey": mean,
         "roughness": roughness,
         "radial_roughness": 0.35,
-        "strand_random": random.astype(np.float32),
-        "strand_grey": whiteness.astype(np.float32),
-        "strand_melanin": (pigment * (1 - whiteness) + white * whiteness).astype(np.float32),
+        "strand_random": np.where(white, low, high).astype(np.float32),
     }
 
 

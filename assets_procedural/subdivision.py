@@ -16,7 +16,7 @@ from scipy import sparse
 
 @dataclass(frozen=True, eq=False)
 class Subdivision:
-    """One level: `matrix` (V', V), `faces` (4 F, 4); quad q gives faces 4 q … 4 q + 3, one a corner.
+    """One level: `matrix` (V', V), `faces` (4 F, 4), of which quad q gives 4 q … 4 q + 3.
 
     Face 4 q + k starts at corner k of quad q, so per-quad data repeats four times.
     """
@@ -97,9 +97,7 @@ def catmull_clark(faces: np.ndarray, vertices: int) -> Subdivision:
     )
 
     e, f = vertices + edge_of, vertices + count + np.arange(quads)
-    children = [
-        np.stack([faces[:, k], e[:, k], f, e[:, (k + 3) % 4]], axis=1) for k in range(4)
-    ]
+    children = [np.stack([faces[:, k], e[:, k], f, e[:, (k + 3) % 4]], axis=1) for k in range(4)]
     refined = np.stack(children, axis=1).reshape(-1, 4).astype(np.int32)
     matrix = sparse.vstack([points, edge_points, face_points]).tocsr()
     return Subdivision(matrix, refined)

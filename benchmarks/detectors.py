@@ -15,7 +15,7 @@ import argparse
 import math
 import os
 import sys
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -74,26 +74,25 @@ class Reading:
     """What MediaPipe saw: landmarks (70, 2) in pixels, blendshapes, angles in degrees."""
 
     landmarks: np.ndarray
-    blendshapes: dict[str, float] = field(default_factory=dict)
-    angles: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    blendshapes: dict[str, float]
+    angles: np.ndarray
 
 
 def read_frames(folder: Path, subset: str | None, max_yaw: float, limit: int | None) -> list[Frame]:
     """Frames (shots × environments) whose head turns at most `max_yaw` degrees from the camera."""
     frames = []
     dataset = open_dataset(folder, subset=subset)
-    for key in dataset.keys():  # noqa: SIM118
-        stored = dataset.read(key, ("meta", "geometry"))
+    for index in range(len(dataset)):
+        stored = dataset.read(index, ("meta", "geometry"))
         meta = stored["meta"]
         angles = head_angles(meta, stored["geometry"])
         if abs(angles[0]) > max_yaw:
             continue
         points = np.array(meta["landmarks"]["points"], float)
-        names = [f"rgb_{e:02d}" for e in range(len(meta["environments"]))]
-        for name, image in dataset.read(key, tuple(names)).items():
-            frames.append(
-                Frame(f"{key} {name}", _opaque(image), points, meta["expression"], angles)
-            )
+        pictures = [f"rgb_{e:02d}" for e in range(len(meta["environments"]))]
+        for name, image in dataset.read(index, tuple(pictures)).items():
+            name = f"{meta['subset']}/{meta['key']} {name}"
+            frames.append(Frame(name, _opaque(image), points, meta["expression"], angles))
             if limit is not None and len(frames) >= limit:
                 return frames
     return frames

@@ -62,9 +62,10 @@ def measure(index: int, resolution: int) -> dict[str, float]:
     def frame(samples: int, denoise: bool, light: int) -> float:
         scene.set_mode("beauty", samples)
         bpy.context.scene.cycles.use_denoising = denoise
+        bpy.context.scene.render.use_compositing = denoise
         scene.set_light(folder / f"{lights[light].id}.exr", lights[light].rotation)
         begun = time.process_time()
-        scene.shoot_beauty(1)
+        scene.render_passes()
         return time.process_time() - begun
 
     few, many = frame(2, False, 1), frame(10, False, 0)

@@ -66,12 +66,13 @@ def plan(
     from synthgen import calibration, preflight
     from synthgen.estimate import estimate, report
     from synthgen.job import load_job
-    from synthgen.measure import measure
 
     spec = load_job(job, overrides or ())
-    hours = None if within is None else preflight.parseconsole.duration(within)
+    hours = None if within is None else preflight.parse_duration(within)
     the_plan, _ = preflight.make_plan(spec, job)
     if calibrate:
+        from synthgen.measure import measure
+
         preflight.check_device(device)
         with console.progress() as progress:
             task = progress.add_task("measuring this machine", total=None)
@@ -131,16 +132,12 @@ def render(
         retry_failed=retry_failed,
     )
     screen = console.stdout()
-    screen.print(
-        f"{summary.rendered} subjects, {summary.frames} frames in {console.duration(summary.seconds)}"
-        + ("; the dataset is complete" if summary.complete else "")
-    )
+    done = f"{summary.rendered} subjects, {summary.frames} frames"
+    took = console.duration(summary.seconds)
+    screen.print(f"{done} in {took}" + ("; the dataset is complete" if summary.complete else ""))
     for entry in summary.failed:
-        screen.print(
-            console.escape(
-                f"failed: {entry['subset']}/{entry['key']}: {entry['reason']} ({entry['log']})"
-            )
-        )
+        reason = f"{entry['reason']} ({entry['log']})"
+        screen.print(console.escape(f"failed: {entry['subset']}/{entry['key']}: {reason}"))
     if summary.failed:
         raise typer.Exit(1)
 

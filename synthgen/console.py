@@ -11,6 +11,7 @@ if TYPE_CHECKING:
 
 
 def stdout() -> Console:
+    """Where answers go."""
     from rich.console import Console
 
     # A pipe has no width of its own, and 80 columns would break tables and paths.
@@ -18,6 +19,7 @@ def stdout() -> Console:
 
 
 def stderr() -> Console:
+    """Where errors and progress go."""
     from rich.console import Console
 
     return Console(stderr=True, highlight=False)
@@ -35,9 +37,11 @@ def progress() -> Progress:
     )
 
     console = stderr()
-    columns = ("{task.description}", BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     return Progress(
-        *(TextColumn(c) if isinstance(c, str) else c for c in columns),
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
         TimeRemainingColumn(),
         console=console,
         disable=not console.is_terminal,
@@ -45,12 +49,14 @@ def progress() -> Progress:
 
 
 def escape(text: str) -> str:
+    """Text in which rich sees no markup."""
     from rich.markup import escape
 
     return escape(text)
 
 
 def duration(seconds: float) -> str:
+    """Seconds for people: 42 s, 7 min, 3 h 05 min."""
     if seconds < 60:
         return f"{seconds:.0f} s"
     minutes = round(seconds / 60)

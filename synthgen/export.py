@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-import sys
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
 from PIL import Image
 
-from synthgen import ledger
+from synthgen import console, ledger
 from synthgen.camera import nerfstudio_frame
 from synthgen.dataset import open_dataset
 from synthgen.shot import Shot, camera_of
@@ -25,26 +25,21 @@ def nerfstudio(out: Path | str, target: Path | str) -> Path:
     carry their `time` in [0, 1]. Depth and mattes are shared by the environments of a subject.
     Returns `target`. Raises `StorageError` if it exists and is not an empty folder.
     """
-    from rich.console import Console
-    from rich.progress import track
-
     out, target = Path(out), Path(target)
     if target.exists() and (not target.is_dir() or any(target.iterdir())):
         raise ledger.StorageError(f"{target}: exists; give a new folder")
     dataset = open_dataset(out)
-    for (subset, subject), positions in track(
-        list(dataset.subjects().items()),
-        "exporting",
-        console=Console(stderr=True),
-        disable=not sys.stderr.isatty(),
-    ):
-        _subject(target / subset / subject, (dataset[i] for i in positions), len(positions))
+    subjects = list(dataset.subjects().items())
+    with console.progress() as bar:
+        for (subset, subject), positions in bar.track(subjects, description="exporting"):
+            shots = (dataset[i] for i in positions)
+            _subject(target / subset / subject, shots, len(positions))
     return target
 
 
-def _subject(folder: Path, shots: object, count: int) -> None:
+def _subject(folder: Path, shots: Iterable[Shot], count: int) -> None:
     transforms: dict[str, dict] = {}
-    for number, shot in enumerate(shots):  # type: ignore[arg-type]
+    for number, shot in enumerate(shots):
         _shared(folder, shot)
         for i, use in enumerate(shot.meta["environments"]):
             name = use["id"]

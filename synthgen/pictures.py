@@ -261,7 +261,9 @@ class _Sheet:
         self.image, self.y = image, EDGE
         self._text(self.info["name"], 34, INK, 42)
         resolution = self.info["job"]["resolution"]
-        self._text(f"{people} people, {frames} images of {resolution} x {resolution} pixels", 15, FAINT, 34)
+        self._text(
+            f"{people} people, {frames} images of {resolution} x {resolution} pixels", 15, FAINT, 34
+        )
         self._heroes()
         for block in self.blocks:
             self._text(block.title, 17, INK, 32)

@@ -231,8 +231,9 @@ def subject_key(index: int) -> str:
     return f"s{index:06d}"
 
 
-# Bytes per pixel and shot (or frame), measured on rendered heads; geometry is per shot.
-_LABEL_BYTES, _PICTURE_BYTES, _LINEAR_BYTES, _GEOMETRY_BYTES = 14.0, 1.6, 6.0, 200_000
+# Bytes per pixel and shot (labels) or frame (the others), and bytes per shot, measured on heads
+# rendered at 256 x 256.
+_LABEL_BYTES, _PICTURE_BYTES, _LINEAR_BYTES, _GEOMETRY_BYTES = 11.0, 1.2, 1.5, 230_000
 
 
 def subject_bytes(job: JobSpec, spec: SubsetSpec) -> int:

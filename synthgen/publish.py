@@ -9,6 +9,7 @@ import functools
 import json
 import subprocess
 from collections.abc import Iterator
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -72,7 +73,8 @@ FIELDS: dict[str, tuple[str, str]] = {
         "application/zip",
     ),
     "meta.json": (
-        "Camera, environments, expression, pose, gaze, 2D landmarks, seeds; `person` is a JSON string",
+        "Camera, environments, expression, pose, gaze, 2D landmarks, seeds; "
+        "`person` is a JSON string",
         "application/json",
     ),
 }
@@ -82,10 +84,13 @@ FIELDS: dict[str, tuple[str, str]] = {
 def code_version() -> dict[str, str]:
     """Package version, and the commit if this is a checkout."""
     version = {"package": "synthgen", "version": synthgen.__version__}
+    root = Path(__file__).parents[1]
+    if not (root / ".git").exists():  # an installed package may lie in somebody else's checkout
+        return version
     try:
         commit = subprocess.run(
             ["git", "describe", "--always", "--dirty", "--abbrev=12"],
-            cwd=Path(__file__).parent,
+            cwd=root,
             capture_output=True,
             text=True,
             timeout=10,
@@ -136,6 +141,7 @@ def begin(
                 for name, spec in plan.job.subsets.items()
             },
             "code": code_version(),
+            "created": datetime.now(UTC).date().isoformat(),
             "licences": LICENCES,
         }
         write_atomically(path, _pretty(info))
@@ -244,7 +250,7 @@ def _splits(info: dict[str, Any], subset: str) -> list[str]:
 
 def card(info: dict[str, Any]) -> str:
     """README.md with the YAML header that the Hugging Face hub reads: configs = subsets."""
-    lines = ["---", "license: cc0-1.0", f"pretty_name: {info['name']}", "tags:"]
+    lines = ["---", f"license: {_licence(info)[0]}", f"pretty_name: {info['name']}", "tags:"]
     lines += ["- webdataset", "- synthetic", "- portraits", "- relighting"]
     lines += ["task_categories:", "- image-to-image", "configs:"]
     for subset in info["plan"]:
@@ -303,7 +309,18 @@ def card(info: dict[str, Any]) -> str:
         f"| [{entry['name']}]({entry['source']}) | {entry['used_for']} | {entry['licence']} |"
         for entry in info["licences"]
     ]
+    lines += [
+        f"| {entry['id']} ({entry['author'] or entry['source']}) | panorama | {entry['licence']} |"
+        for entry in info["environments"][:100]
+    ]
     return "\n".join(lines) + "\n"
+
+
+def _licence(info: dict[str, Any]) -> tuple[str, str]:
+    """(Hugging Face id, address): CC0 unless panoramas of the user's own show in the pictures."""
+    if all(entry["licence"] == "CC0-1.0" for entry in info["environments"]):
+        return "cc0-1.0", "https://creativecommons.org/publicdomain/zero/1.0/"
+    return "other", "README.md"
 
 
 def _fields(info: dict[str, Any]) -> dict[str, tuple[str, str]]:
@@ -329,6 +346,7 @@ CROISSANT_CONTEXT: dict[str, Any] = {
     "fileSet": "cr:fileSet",
     "format": "cr:format",
     "includes": "cr:includes",
+    "isLiveDataset": "cr:isLiveDataset",
     "key": "cr:key",
     "md5": "cr:md5",
     "rai": "http://mlcommons.org/croissant/RAI/",
@@ -411,7 +429,14 @@ def croissant(info: dict[str, Any]) -> dict[str, Any]:
         "name": info["name"],
         "description": f"{total['frames']} synthetic portraits of {total['subjects']} people with "
         "geometry, masks, cameras and environments.",
-        "license": "https://creativecommons.org/publicdomain/zero/1.0/",
+        "license": _licence(info)[1],
+        # Relative to this file: where the dataset will be published is not known here.
+        "url": "README.md",
+        "creator": {
+            "@type": "sc:Organization",
+            "name": f"synthgen {info['code']['version']}",
+        },
+        "datePublished": info["created"],
         "version": f"{FORMAT}.0.0",
         "isLiveDataset": False,
         "distribution": distribution,

@@ -30,10 +30,10 @@ PART_IDS = (*range(19), 255)
 # Tolerances of the gate. They are part of the dataset contract: loosening one is a format change.
 LANDMARK_MARGIN = 0.25  # landmarks stay inside the frame enlarged by this share on every side
 LANDMARK_PIXELS = 0.5  # 2D landmarks against the projected 3D ones
-LANDMARK_DEPTH = 0.015  # metres, median over the visible landmarks
+LANDMARK_DEPTH = 0.01  # metres, median over the visible landmarks
 NORMAL_LENGTH = 0.05  # median | |n| - 1 | inside the mask
-NORMAL_ANGLE = 30.0  # degrees, median between the normal pass and the slope of the depth
-MASK_OVERLAP = 0.6  # intersection over union of alpha > 127 and parts > 0
+NORMAL_ANGLE = 20.0  # degrees, median between the normal pass and the slope of the depth
+MASK_OVERLAP = 0.7  # intersection over union of alpha > 127 and parts > 0
 ROTATION_ERROR = 1e-4
 MIN_MASK = 0.01  # share of the frame
 DARK, BRIGHT = 2.0, 253.0  # mean 8-bit level inside the mask

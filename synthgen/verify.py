@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import json
 import math
-import sys
 import tarfile
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from assets_procedural.motion import ARKIT_NAMES
-from synthgen import ledger, manifest, publish
+from synthgen import console, ledger, manifest, publish
 from synthgen.plan import SPLITS, Plan, ShardPlan, SubjectPlan, subject_key
 from synthgen.shards import decode, decode_exr, sha256
 from synthgen.shot import inspect
@@ -66,25 +66,18 @@ def _each(
     info: dict[str, Any],
     workers: int | None,
 ) -> Iterator[tuple[list[str], dict[str, int]]]:
-    from rich.console import Console
-    from rich.progress import track
-
-    console = Console(stderr=True)
     # Another version may plan other people from the same seed: then only its own can tell.
     same_code = info["code"] == publish.code_version()
     jobs = [(out, shard, tables[shard.subset], same_code) for shard in planned]
     size = sum(entry["bytes"] for entry in info.get("shards", ()))
-    if size < PARALLEL_BYTES or workers == 1:
-        results: Iterator[tuple[list[str], dict[str, int]]] = map(_check_shard, jobs)
-        yield from track(
-            results, "verifying", len(jobs), console=console, disable=not sys.stderr.isatty()
-        )
-        return
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        results = pool.map(_check_shard, jobs)
-        yield from track(
-            results, "verifying", len(jobs), console=console, disable=not sys.stderr.isatty()
-        )
+    with contextlib.ExitStack() as held:
+        bar = held.enter_context(console.progress())
+        if size < PARALLEL_BYTES or workers == 1:
+            results = map(_check_shard, jobs)
+        else:
+            pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"))
+            results = held.enter_context(pool).map(_check_shard, jobs)
+        yield from bar.track(results, len(jobs), description="verifying")
 
 
 # ---------------------------------------------------------------- around the shards

@@ -8,7 +8,7 @@ import numpy as np
 
 from assets_procedural import panorama
 from assets_procedural.motion import Pose
-from assets_procedural.person import Beard, Hair, Person, Top
+from assets_procedural.person import Beard, Hair, Person
 from synthgen.camera import CameraSample, resolve
 from synthgen.job import JobSpec, SubsetSpec
 from synthgen.plan import EnvironmentUse, ShotPlan, SubjectPlan
@@ -37,12 +37,13 @@ def subject(person: Person, poses: list[Pose], cameras: list[CameraSample]) -> S
 
 def write_gradient(folder: Path, name: str, tint: tuple[float, float, float]) -> None:
     """A soft sky of one tint as `<name>.exr`."""
-    up = panorama.texel_directions(32)[..., 2:]
-    panorama.write(folder / f"{name}.exr", (0.3 + 0.7 * np.maximum(up, 0) * tint).astype("f4"), {})
+    direction = panorama.texel_directions(32)
+    light = 2 + direction[..., 2:] + 0.3 * direction[..., :1]
+    panorama.write(folder / f"{name}.exr", (light * tint).astype(np.float32), {})
 
 
 def ball_under_a_spot(folder: Path, direction: np.ndarray, rotation: float) -> np.ndarray:
-    """The brightest normal (3,), world, of a white ball lit by one texel towards `direction`."""
+    """Where (3,), world, the light on a white ball comes from: one texel at `direction`, turned."""
     import bpy
 
     from synthgen.stage import scene
@@ -66,13 +67,13 @@ def ball_under_a_spot(folder: Path, direction: np.ndarray, rotation: float) -> n
     scene.set_mode("beauty", 16)
     scene.set_light(folder / "spot.exr", rotation)
     light = scene.shoot_beauty(0)[..., :3].sum(axis=-1)
-    weight = np.where(light > 0.8 * light.max(), light, 0)[..., None]
     pixels = camera.pixel_centres()
     offset = camera.unproject(pixels, np.full(pixels.shape[:2], -camera.position[1]))
     side = np.clip(0.01 - (offset**2).sum(axis=-1), 0, None)
-    normal = offset - camera.forward * np.sqrt(side)[..., None]
-    mean = (weight * normal).sum(axis=(0, 1))
-    return mean / np.linalg.norm(mean)
+    normal = (offset - camera.forward * np.sqrt(side)[..., None]) / 0.1
+    lit = (light > 0.2 * light.max()) & (side > 0.001)
+    towards = np.linalg.lstsq(normal[lit], light[lit], rcond=None)[0]  # Lambert: light ~ n . l
+    return towards / np.linalg.norm(towards)
 
 
 def bare_head(folder: Path) -> dict[str, np.ndarray]:
@@ -82,7 +83,7 @@ def bare_head(folder: Path) -> dict[str, np.ndarray]:
     from synthgen.stage.build import build_figure, pose_figure
     from synthgen.stage.geometry import frame_of_head
 
-    person = Person(hair=Hair(style="bald"), top=Top(style="none"))
+    person = Person(hair=Hair(style="bald"))
     identity = HeadModel.load().identity(person)
     scene.open_stage(SIZE, 4, "cpu", 1)
     figure = build_figure(person, identity, [])

@@ -61,6 +61,9 @@ def test_card_has_configs_with_files(out: Path):
 def test_croissant_names_what_exists(out: Path):
     croissant = json.loads((out / "croissant.json").read_text())
     assert croissant["conformsTo"] == "http://mlcommons.org/croissant/1.1"
+    # What the specification requires of every dataset.
+    required = {"name", "description", "license", "url", "creator", "datePublished"}
+    assert required <= croissant.keys()
     objects = {d["@id"]: d for d in croissant["distribution"]}
     for entry in objects.values():
         if entry["@type"] == "cr:FileObject":

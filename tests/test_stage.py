@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 import stage_scenes as scenes
 import trimesh
+from synthgen.shot import gate
 
 from assets_procedural import panorama
 from synthgen.camera import Camera
-from synthgen.shot import camera_of, gate
+from synthgen.shot import camera_of
 
 pytestmark = pytest.mark.blender
 

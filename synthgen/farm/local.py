@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from assets_procedural.environment import pool, write_pool
-from synthgen import ledger, manifest, publish
+from synthgen import console, ledger, manifest, publish
 from synthgen.farm.worker import Orders, is_disk_full, work
 from synthgen.plan import Plan, ShardPlan, SubjectPlan, subject_key
 from synthgen.shards import concatenate, encode_json, sha256, write_atomically
@@ -474,7 +474,6 @@ def _progress(run: Run) -> Iterator[Callable[[], None]]:
     if not sys.stderr.isatty():
         yield lambda: None
         return
-    from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
     total = sum(
@@ -490,7 +489,7 @@ def _progress(run: Run) -> Iterator[Callable[[], None]]:
         TextColumn("{task.fields[note]}"),
         TimeElapsedColumn(),
     )
-    with Progress(*columns, console=Console(stderr=True)) as bar:
+    with Progress(*columns, console=console.stderr()) as bar:
         task = bar.add_task("rendering", total=total, completed=before, note="starting workers")
 
         def advance() -> None:
@@ -499,7 +498,7 @@ def _progress(run: Run) -> Iterator[Callable[[], None]]:
             note = "starting workers" if not any(s.ready for s in run.slots.values()) else ""
             if done:
                 left = (total - before - done) * elapsed / done
-                note = f"{done / elapsed:.2f} frames/s, {duration(left)} left"
+                note = f"{done / elapsed:.2f} frames/s, {console.duration(left)} left"
             bad = len(ledger.failures(run.out)) if run.failures_in_a_row else 0
             note += f", {bad} failed" if bad else ""
             bar.update(task, completed=before + done, note=note)
@@ -521,11 +520,3 @@ def frames_done(out: Path, the_plan: Plan, shards: list[ShardPlan]) -> int:
         )
         done += waiting * spec.shots * spec.environments
     return done
-
-
-def duration(seconds: float) -> str:
-    """A time span for people: "42 s", "7 min", "3.5 h", "2.1 d"."""
-    for unit, size, limit in (("s", 1, 90), ("min", 60, 5400), ("h", 3600, 172_800)):
-        if seconds < limit:
-            return f"{seconds / size:.1f} {unit}" if unit == "h" else f"{seconds / size:.0f} {unit}"
-    return f"{seconds / 86400:.1f} d"

@@ -14,7 +14,7 @@ import numpy as np
 from assets_procedural import regions, wardrobe
 from assets_procedural.head import Bust, Identity
 from assets_procedural.person import Person
-from assets_procedural.piece import MeshPiece, Piece, StrandPiece
+from assets_procedural.piece import Piece, StrandPiece
 from assets_procedural.skin import skin_fields
 from assets_procedural.subdivision import Subdivision, catmull_clark
 from synthgen.stage import materials
@@ -23,7 +23,7 @@ from synthgen.stage.hair_colour import strand_colours
 
 @dataclass(frozen=True)
 class Figure:
-    """A person on the stage: the skin object, its subdivision, and the pieces with their objects."""
+    """A person on the stage: the skin, its subdivision, the pieces with their objects."""
 
     subdivision: Subdivision
     skin: bpy.types.Object

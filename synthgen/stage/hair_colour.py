@@ -26,7 +26,8 @@ def strand_colours(piece: StrandPiece) -> np.ndarray:
     sigma = amount * ((1 - p["redness"]) * _EUMELANIN + p["redness"] * _PHEOMELANIN)
     roughness = p.get("radial_roughness", 0.45)
     width = 5.969 + roughness * (
-        -0.215 + roughness * (2.532 + roughness * (-10.73 + roughness * (5.574 + 0.245 * roughness)))
+        -0.215
+        + roughness * (2.532 + roughness * (-10.73 + roughness * (5.574 + 0.245 * roughness)))
     )
     colour = np.exp(-np.sqrt(sigma) * width)
     # Grey comes hair by hair, and a hair that greys is nearly white.

@@ -46,16 +46,23 @@ def skin(parameters: Skin) -> bpy.types.Material:
 
     colour = graph.attribute("colour").outputs["Color"]
     blotches = graph.noise(place, 55, detail=3, rough=0.6)
-    redder = graph.mix(graph.stretch(blotches, 0.35, 0.7, (0, 1)), (0.99, 1.02, 1.02), (1.03, 0.95, 0.945))
+    redder = graph.mix(
+        graph.stretch(blotches, 0.35, 0.7, (0, 1)), (0.99, 1.02, 1.02), (1.03, 0.95, 0.945)
+    )
     colour = graph.mix(1.0, colour, redder, "MULTIPLY")
     mottling = graph.noise(place, 420, detail=2, rough=0.7)
-    paler = graph.mix(graph.stretch(mottling, 0.3, 0.7, (0, 1)), (0.95, 0.94, 0.93), (1.05, 1.05, 1.05))
+    paler = graph.mix(
+        graph.stretch(mottling, 0.3, 0.7, (0, 1)), (0.95, 0.94, 0.93), (1.05, 1.05, 1.05)
+    )
     colour = graph.mix(1.0, colour, paler, "MULTIPLY")
 
     if parameters.freckles > 0.05:
         cells = graph.node("TexVoronoi", {"Vector": place, "Scale": 380.0, "Randomness": 1.0})
-        size = graph.math("MULTIPLY", graph.node(
-            "SeparateColor", {"Color": cells.outputs["Color"]}).outputs["Red"], 0.42)
+        size = graph.math(
+            "MULTIPLY",
+            graph.node("SeparateColor", {"Color": cells.outputs["Color"]}).outputs["Red"],
+            0.42,
+        )
         spot = graph.math("LESS_THAN", cells.outputs["Distance"], size)
         cluster = graph.stretch(graph.noise(place, 90, detail=2), 0.42, 0.62, (0.1, 1))
         strength = graph.math("MULTIPLY", graph.scalar("freckles"), cluster)
@@ -74,12 +81,16 @@ def skin(parameters: Skin) -> bpy.types.Material:
     colour = graph.mix(amount, colour, graph.mix(1.0, colour, (0.35, 0.35, 0.37), "MULTIPLY"))
 
     # One bump node with summed heights: chained ones are slow.
-    pores = graph.math("MULTIPLY", graph.noise(place, 1300, detail=2, rough=0.6), graph.scalar("pores"))
+    pores = graph.math(
+        "MULTIPLY", graph.noise(place, 1300, detail=2, rough=0.6), graph.scalar("pores")
+    )
     pores = graph.math("MULTIPLY", pores, 0.00013)
     soft = graph.math("MULTIPLY", graph.noise(place, 240, detail=2), 0.00022)
     across = graph.combine("MULTIPLY", place, (0.16, 0.16, 1.0))
     lines = graph.noise(across, 185, detail=2, rough=0.55)
-    lines = graph.math("MULTIPLY", graph.stretch(lines, 0.36, 0.60, (0, 1)), graph.scalar("wrinkles"))
+    lines = graph.math(
+        "MULTIPLY", graph.stretch(lines, 0.36, 0.60, (0, 1)), graph.scalar("wrinkles")
+    )
     lines = graph.math("MULTIPLY", lines, 0.0011)
     along = graph.combine("MULTIPLY", place, (1.0, 0.3, 0.12))
     furrows = graph.math("MULTIPLY", graph.noise(along, 620, detail=1), graph.scalar("lips"))
@@ -185,11 +196,15 @@ def _cloth(graph: Graph, parameters: dict[str, Any]) -> tuple[Any, Any]:
     if parameters.get("pattern") == "stripes":
         height = graph.node("SeparateXYZ", {0: rest}).outputs["Z"]
         wave = graph.math("SINE", graph.math("MULTIPLY", height, 210.0))
-        colour = graph.mix(graph.stretch(wave, -0.1, 0.1, (0, 1)), colour, tuple(parameters["accent"]))
+        colour = graph.mix(
+            graph.stretch(wave, -0.1, 0.1, (0, 1)), colour, tuple(parameters["accent"])
+        )
     fade = graph.stretch(graph.noise(rest, 30, detail=3), 0.3, 0.7, (0, 1))
     tone = graph.mix(fade, (0.9, 0.9, 0.9), (1.06, 1.06, 1.06))
     fibre = graph.stretch(graph.noise(rest, 900, detail=2), 0.3, 0.7, (0, 1))
-    tone = graph.mix(1.0, tone, graph.mix(fibre, (0.88, 0.88, 0.88), (1.08, 1.08, 1.08)), "MULTIPLY")
+    tone = graph.mix(
+        1.0, tone, graph.mix(fibre, (0.88, 0.88, 0.88), (1.08, 1.08, 1.08)), "MULTIPLY"
+    )
     colour = graph.mix(1.0, colour, tone, "MULTIPLY")
     folds = graph.math("MULTIPLY", graph.noise(rest, 16, detail=2, rough=0.45), 0.012)
     weave = graph.math("MULTIPLY", graph.noise(rest, 1500, detail=1), 0.00030)
@@ -201,13 +216,21 @@ def _knit(graph: Graph, parameters: dict[str, Any]) -> tuple[Any, Any]:
     """Ribs along u, stitches along v of the piece's metre-like texture coordinates."""
     uv = graph.node("SeparateXYZ", {0: graph.attribute("UVMap").outputs["Vector"]})
     rib = graph.math("ABSOLUTE", graph.math("SINE", graph.math("MULTIPLY", uv.outputs["X"], 780.0)))
-    stitch = graph.math("ABSOLUTE", graph.math("SINE", graph.math("MULTIPLY", uv.outputs["Y"], 900.0)))
-    height = graph.math("ADD", graph.math("MULTIPLY", rib, 0.0016), graph.math("MULTIPLY", stitch, 0.0006))
+    stitch = graph.math(
+        "ABSOLUTE", graph.math("SINE", graph.math("MULTIPLY", uv.outputs["Y"], 900.0))
+    )
+    height = graph.math(
+        "ADD", graph.math("MULTIPLY", rib, 0.0016), graph.math("MULTIPLY", stitch, 0.0006)
+    )
     rest = graph.attribute("canonical").outputs["Vector"]
     fuzz = graph.stretch(graph.noise(rest, 1200, detail=2), 0.3, 0.7, (0.8, 1.12))
     shade = graph.math("MULTIPLY", graph.stretch(rib, 0.0, 0.6, (0.6, 1.0)), fuzz)
-    colour = graph.mix(1.0, _colour(parameters, (0.2, 0.2, 0.25)),
-                       graph.node("CombineColor", {0: shade, 1: shade, 2: shade}).outputs[0], "MULTIPLY")
+    colour = graph.mix(
+        1.0,
+        _colour(parameters, (0.2, 0.2, 0.25)),
+        graph.node("CombineColor", {0: shade, 1: shade, 2: shade}).outputs[0],
+        "MULTIPLY",
+    )
     bump = graph.node("Bump", {"Height": height, "Distance": 1.0})
     return _fabric(graph, colour, bump, parameters), colour
 

@@ -18,7 +18,9 @@ class Graph:
         self.tree = owner.node_tree
         self.tree.nodes.clear()
 
-    def node(self, kind: str, inputs: dict[str | int, Socket] | None = None, **settings: Any) -> Any:
+    def node(
+        self, kind: str, inputs: dict[str | int, Socket] | None = None, **settings: Any
+    ) -> Any:
         """Add a node of Blender type `ShaderNode<kind>`; set properties, then inputs by name."""
         node = self.tree.nodes.new(f"ShaderNode{kind}")
         for name, value in settings.items():
@@ -52,7 +54,13 @@ class Graph:
 
     def stretch(self, value: Socket, low: float, high: float, to: tuple[float, float]) -> Any:
         """Smooth step of `value` from [low, high] to the range `to`, clamped."""
-        inputs = {"Value": value, "From Min": low, "From Max": high, "To Min": to[0], "To Max": to[1]}
+        inputs = {
+            "Value": value,
+            "From Min": low,
+            "From Max": high,
+            "To Min": to[0],
+            "To Max": to[1],
+        }
         return self.node("MapRange", inputs, interpolation_type="SMOOTHSTEP").outputs["Result"]
 
     def mix(self, factor: Socket, a: Socket, b: Socket, blend: str = "MIX") -> Any:

@@ -13,7 +13,7 @@ import numpy as np
 
 from assets_procedural import panorama
 from assets_procedural.assembly import pieces
-from assets_procedural.head import Bust, HeadModel, lid_following
+from assets_procedural.head import Bust, HeadModel
 from assets_procedural.landmarks import landmarks
 from synthgen.camera import Camera, resolve
 from synthgen.display import srgb_encode, to_bytes
@@ -52,7 +52,9 @@ def render_subject(
         with clock("pose"):
             bust = identity.pose(subject.poses[pose])
             pose_figure(figure, bust)
-            centre, height = frame_of_head(bust if subject.kind == "multiview" else identity.neutral)
+            centre, height = frame_of_head(
+                bust if subject.kind == "multiview" else identity.neutral
+            )
             cameras = {
                 s.key: resolve(subject.cameras[s.camera], centre, height, job.resolution)
                 for s in taken
@@ -129,7 +131,6 @@ def _shot(
         pixels,
         visible(pixels, depth, labels.depth),
     )
-    meta["expression"] = lid_following(bust.pose)
     meta["exposures"] = factors
     geometry = control_geometry(bust)
     meta["joints"] = list(bust.bones)

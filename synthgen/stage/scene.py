@@ -166,7 +166,7 @@ def set_mode(mode: Mode, samples: int) -> None:
 def shoot_beauty(seed: int) -> np.ndarray:
     """Render the current view: (H, W, 4) linear Rec.709, premultiplied, finite in half."""
     bpy.context.scene.cycles.seed = seed
-    passes = _render()
+    passes = render_passes()
     image = np.clip(np.nan_to_num(passes["Combined"]), 0, 65000)
     image[..., 3] = np.clip(passes["Composite"][..., 0], 0, 1)
     return image
@@ -175,7 +175,7 @@ def shoot_beauty(seed: int) -> np.ndarray:
 def shoot_labels(camera: Camera) -> Labels:
     """Render the label passes of the current view, which must be `camera`'s."""
     bpy.context.scene.cycles.seed = 0
-    passes = _render()
+    passes = render_passes()
     parts = np.rint(passes["part"]).astype(np.uint8)
     depth = passes["Depth"]
     seen = (parts > 0) & (depth < _BACKGROUND_DEPTH)
@@ -195,7 +195,7 @@ def shoot_labels(camera: Camera) -> Labels:
     )
 
 
-def _render() -> dict[str, np.ndarray]:
+def render_passes() -> dict[str, np.ndarray]:
     """Render once and return every pass by name: (H, W) or (H, W, C) float32."""
     with tempfile.TemporaryDirectory(prefix="stage-") as folder:
         path = Path(folder) / "passes.exr"

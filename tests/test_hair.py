@@ -1,0 +1,166 @@
+"""Strands: counts, determinism, hairlines, draping, and hair that follows the face."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from assets_procedural import facial_hair, hair
+from assets_procedural.head import HeadModel, Identity
+from assets_procedural.motion import Pose
+from assets_procedural.person import Beard, Hair, Person
+from assets_procedural.piece import Part, StrandPiece
+from assets_procedural.strands import Surface, sample_roots, smoothstep
+
+
+@pytest.fixture(scope="module")
+def identity() -> Identity:
+    return HeadModel.load().identity(Person())
+
+
+def grow(identity: Identity, style: str, **changes: object) -> StrandPiece:
+    person = Person(hair=Hair(style=style, **changes))  # type: ignore[arg-type]
+    (piece,) = hair.scalp_hair(person, identity, np.random.default_rng(4))
+    return piece
+
+
+@pytest.mark.parametrize("style", [name for name, style in hair.STYLES.items() if style])
+def test_every_style_grows_strands_on_the_scalp(identity, style):
+    piece = grow(identity, style)
+    points = piece.place(identity.neutral)
+    count, steps = piece.radius.shape
+    assert points.shape == (count, steps, 3)
+    assert np.isfinite(points).all()
+    assert 10_000 < count < 62_000
+    assert piece.part == Part.HAIR
+    assert 3e-6 < piece.radius.min() and piece.radius.max() < 1e-4
+    assert (piece.radius[:, -1] < piece.radius[:, 0]).all()
+    assert piece.parameters["strand_random"].shape == (count,)
+    # Nobody's hair comes near the tip of the nose.
+    skin = identity.model.groups["skin"]
+    nose = identity.rest[skin[np.argmin(identity.rest[skin, 1])]]
+    assert np.linalg.norm(points - nose, axis=-1).min() > 0.01
+
+
+def test_a_bald_head_has_no_piece(identity):
+    assert (
+        hair.scalp_hair(Person(hair=Hair(style="bald")), identity, np.random.default_rng(0)) == []
+    )
+
+
+def test_an_unknown_style_is_named(identity):
+    with pytest.raises(KeyError, match="mullet"):
+        hair.scalp_hair(Person(hair=Hair(style="mullet")), identity, np.random.default_rng(0))
+    with pytest.raises(KeyError, match="goat"):
+        facial_hair.beard(Person(beard=Beard(style="goat")), identity, np.random.default_rng(0))
+
+
+def test_the_same_seed_gives_the_same_hair(identity):
+    first, second = (grow(identity, "short").place(identity.neutral) for _ in range(2))
+    assert np.array_equal(first, second)
+
+
+def test_density_sets_the_number_of_strands(identity):
+    assert len(grow(identity, "short", density=0.2).radius) < len(
+        grow(identity, "short", density=0.9).radius
+    )
+
+
+def test_hair_follows_the_head_rigidly_above_the_chin(identity):
+    piece = grow(identity, "short")
+    bust = identity.pose(Pose(head=(0.2, 0.1, 0.6)))
+    head = bust.bones["head"]
+    rest = piece.place(identity.neutral)
+    assert np.allclose(piece.place(bust), rest @ head[:3, :3].T + head[:3, 3], atol=1e-5)
+
+
+@pytest.mark.parametrize("yaw", [-35, 35])
+def test_long_hair_drapes_on_a_turned_bust(identity, yaw):
+    piece = grow(identity, "long_straight")
+    bust = identity.pose(Pose(head=(0.0, 0.0, np.radians(yaw))))
+    rest, posed = piece.place(identity.neutral), piece.place(bust)
+    # Tips on the chest stay with the trunk instead of swinging with the head.
+    low = rest[:, -1, 2] < rest[:, -1, 2].min() + 0.03
+    assert np.median(np.linalg.norm(posed[low, -1] - rest[low, -1], axis=1)) < 0.02
+    # No strand is torn apart, and hardly a point is inside the body.
+    stretch = np.linalg.norm(np.diff(posed, axis=1), axis=2).sum(axis=1)
+    before = np.linalg.norm(np.diff(rest, axis=1), axis=2).sum(axis=1)
+    assert np.quantile(stretch / before, 0.99) < 1.5
+    signed, _ = Surface.of(bust).distance(posed[::10])
+    assert (signed < -0.002).mean() < 0.01
+
+
+def test_older_men_lose_the_front_of_their_hair():
+    ages = [
+        hair.recession(Person(age_years=age, phenotypes={"gender": 0.0}, hair=Hair(seed=5)))
+        for age in (20, 50, 80)
+    ]
+    assert ages[0] == 0 and ages[0] < ages[1] < ages[2] <= 1
+    assert hair.recession(Person(age_years=80, phenotypes={"gender": 1.0})) == 0
+
+
+def test_the_face_lies_outside_the_hairline(identity):
+    model = identity.model
+    skin = model.groups["skin"]
+    nose = skin[np.argmin(model.template[skin, 1])]
+    crown = skin[np.argmax(model.template[skin, 2])]
+    inside = hair.hairline_distance(model.template[[nose, crown]], Person())
+    assert inside[0] < 0 < inside[1]
+
+
+def test_grey_is_a_share_of_white_strands(identity):
+    parameters = grow(identity, "short", grey=0.4).parameters
+    white = parameters["strand_random"] < parameters["grey"]
+    assert 0.3 < white.mean() < 0.5
+
+
+def test_brows_ride_on_the_raised_skin(identity):
+    left, right = facial_hair.brows(Person(), identity, np.random.default_rng(1))
+    assert (left.part, right.part) == (Part.LEFT_BROW, Part.RIGHT_BROW)
+    rest = left.place(identity.neutral)
+    assert rest[..., 0].mean() > 0 > right.place(identity.neutral)[..., 0].mean()
+    raised = left.place(identity.pose(Pose(expression={"browInnerUp": 1, "browOuterUpLeft": 1})))
+    assert (raised - rest)[..., 2].mean() > 0.002
+    signed, _ = Surface.of(identity.neutral).distance(rest)
+    assert signed.max() < 0.006
+
+
+def test_lashes_close_with_the_lids(identity):
+    (piece,) = facial_hair.lashes(Person(), identity, np.random.default_rng(1))
+    open_, closed = (
+        piece.place(bust)
+        for bust in (
+            identity.neutral,
+            identity.pose(Pose(expression={"eyeBlinkLeft": 1, "eyeBlinkRight": 1})),
+        )
+    )
+    upper = open_[:, 0, 2] > np.median(open_[:, 0, 2])
+    assert (closed - open_)[upper, 0, 2].mean() < -0.003
+    assert (open_[..., 1].min(axis=1) < open_[:, 0, 1]).all()
+
+
+@pytest.mark.parametrize("style", ["stubble", "moustache", "goatee", "full"])
+def test_beards_cover_their_region_and_spare_the_lips(identity, style):
+    person = Person(beard=Beard(style=style, length_mm=6))
+    (piece,) = facial_hair.beard(person, identity, np.random.default_rng(2))
+    points = piece.place(identity.neutral)
+    roots = points[:, 0]
+    assert piece.part == Part.BEARD and np.isfinite(points).all()
+    lips = identity.model.masks["lips"] > 0.9
+    near = np.linalg.norm(roots[:, None] - identity.rest[lips][None, ::8], axis=-1).min(axis=1)
+    assert np.quantile(near, 0.01) > 0.001
+    assert (roots[:, 2] < identity.neutral.eyes["eye_left"][2] + 0.01).all()
+    dropped = piece.place(identity.pose(Pose(expression={"jawOpen": 1})))
+    chin = roots[:, 2] < np.quantile(roots[:, 2], 0.2)
+    if style != "moustache":
+        assert (dropped - points)[chin, :, 2].mean() < -0.003
+
+
+def test_roots_follow_the_asked_density(identity):
+    def left_half(points, roots):
+        return smoothstep(0, 0.001, points[:, 0])
+
+    roots = sample_roots(identity, left_half, 500, np.random.default_rng(0))
+    assert len(roots) == 500
+    assert (roots.of(identity.model.template)[:, 0] > 0).all()
+    assert np.allclose(roots.barycentric.sum(axis=1), 1)

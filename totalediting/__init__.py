@@ -1,0 +1,1 @@
+"""What is learnt: the portrait model that trains on the emitted shards."""
