@@ -35,6 +35,10 @@ $(VENV)/.torch: | $(VENV)/bin/python
 $(VENV)/.render: $(VENV)/.torch pyproject.toml
 	@echo "== installing Blender, the head model and what they need (about 600 MB, once)"
 	@$(PIP) --editable '.[render]'
+	@$(BIN)/python -c 'import bpy' 2>/dev/null || { \
+	  echo "Blender's wheel needs system libraries that are missing here; on Debian and Ubuntu:"; \
+	  echo "  apt-get install libx11-6 libxrender1 libxfixes3 libxi6 libxkbcommon0 libsm6 libgl1"; \
+	  exit 2; }
 	@touch $@
 
 $(VENV)/.dev: $(VENV)/.render

@@ -49,7 +49,7 @@ _HAIRLINE = np.array(
     float,
 )  # fmt: skip
 _STEPS = 24
-_CLOTHES_MARGIN = 0.014
+_CLOTHES_MARGIN = 0.015
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ def combed_from_whorl(field: Field) -> np.ndarray:
 def combed_from_parting(field: Field) -> np.ndarray:
     """To either side of the parting and a little back; behind the crown from the whorl."""
     front = smoothstep(0.035, -0.04, field.root[:, 1])[:, None]
-    back = 0.3 + 0.5 * smoothstep(-0.09, -0.14, field.root[:, 1])
+    back = 0.55 + 0.4 * smoothstep(-0.09, -0.14, field.root[:, 1])
     apart = np.stack([field.side, back, np.full(len(back), -0.15)], axis=1)
     return unit(front * unit(apart) + (1 - front) * combed_from_whorl(field))
 
@@ -177,7 +177,7 @@ _TOP_TIE = (0.0, 0.035, 0.852)
 STYLES: dict[str, Style | None] = {
     "bald": None,
     "buzz": Style(
-        combed_from_whorl, (0.003, 0.008), count=60000, points=4, radius=7e-5, lift=0.6,
+        combed_from_whorl, (0.003, 0.008), count=60000, points=4, radius=8.5e-5, lift=0.6,
         reach=1, gravity=0, volume=0, lock=(1, 0), stray=0.0006, flyaway=0, roughness=0.4,
     ),
     "receding": Style(
@@ -301,7 +301,7 @@ def _scalp_density(person: Person, style: Style, ears: np.ndarray, soft: float) 
         front = np.exp(-((np.degrees(np.arctan2(offset[:, 0], -offset[:, 1])) / 60) ** 2))
         width = soft * (0.7 + 0.6 * front)
         grown = smoothstep(-width, width, inside) * smoothstep(0.7, 0.35, roots.of(ears))
-        grown = grown * (0.4 + 0.6 * _bare_risk(points, inside, style, person))
+        grown = grown * (0.25 + 0.75 * _bare_risk(points, inside, style, person))
         if style.crown > 0:
             # What pattern baldness leaves: a wreath, and down on the top.
             top = smoothstep(0.786, 0.818, points[:, 2] - 0.15 * np.maximum(points[:, 1], 0))
@@ -316,12 +316,17 @@ def _bare_risk(points: np.ndarray, inside: np.ndarray, style: Style, person: Per
 
     At a parting, the whorl and the front hairline hair must grow denser for the same cover.
     """
+    parting = _near_parting(points, person) * style.parted
+    whorl = np.exp(-(((points - WHORL) / 0.022) ** 2).sum(axis=1)) * (style.tie is None)
+    line = smoothstep(9, 2, inside) * 0.45
+    return np.maximum(np.maximum(parting, whorl), line)
+
+
+def _near_parting(points: np.ndarray, person: Person) -> np.ndarray:
+    """1 on the parting to 0 a centimetre and a half away from it, (R,)."""
     gap = (points[:, 0] - _part_line(person, points[:, 1])) / 0.009
     front = smoothstep(0.05, 0.0, points[:, 1]) * (points[:, 2] > 0.78)
-    parting = np.exp(-(gap**2)) * front * style.parted
-    whorl = np.exp(-(((points - WHORL) / 0.022) ** 2).sum(axis=1)) * (style.tie is None)
-    line = smoothstep(9, 2, inside) * 0.7
-    return np.maximum(np.maximum(parting, whorl), line)
+    return np.exp(-(gap**2)) * front
 
 
 def _part_line(person: Person, y: np.ndarray) -> np.ndarray:
@@ -332,7 +337,7 @@ def _part_line(person: Person, y: np.ndarray) -> np.ndarray:
 def _sides(points: np.ndarray, person: Person, rng: np.random.Generator) -> np.ndarray:
     """Side (-1, 1) of the parting; hairs close to it cross over, so that it shows no bare line."""
     gap = points[:, 0] - _part_line(person, points[:, 1])
-    gap = gap + rng.normal(0, 0.0012, len(points))
+    gap = gap + rng.normal(0, 0.002, len(points))
     return np.where(gap > 0, 1, -1)
 
 
@@ -576,6 +581,9 @@ def _detailed(
     leader = locks(strands[:, 0], side, size, rng)
     if strength > 0:
         pull = strength * rng.uniform(0.5, 1.2, count)
+        if style.parted:
+            # Locks at a parting would tear it open.
+            pull = pull * (1 - 0.8 * _near_parting(root_at, person))
         if style.tail == "bun":
             pull = np.where(tail, 0, pull)
         strands = clump(strands, locks(strands[:, 0], side, size / 6, rng), 0.6 * pull)

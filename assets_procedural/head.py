@@ -6,6 +6,7 @@ Frame: metres, Z up, the head looks along -Y, the subject's left is +X.
 
 from __future__ import annotations
 
+import fcntl
 import os
 import subprocess
 import sys
@@ -257,13 +258,18 @@ def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 def build_head_file(path: Path) -> None:
-    """Distil Anny into `path` in a process of its own.
+    """Distil Anny into `path` in a process of its own; waits if another process is at it.
 
     Raises:
         RuntimeError: Anny is not installed, or its process failed.
     """
-    command = [sys.executable, "-m", "assets_procedural.distill", str(path)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.with_suffix(".lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)  # it takes gigabytes: one at a time, and once
+        if path.exists():
+            return
+        command = [sys.executable, "-m", "assets_procedural.distill", str(path)]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode != 0:
         reason = (done.stderr.strip().splitlines() or ["no output"])[-1]
         raise RuntimeError(

@@ -13,14 +13,14 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from assets_procedural.head import Bust, HeadModel, Identity
 
 # Length scale of the plane that stands for the skin around its nearest vertex.
 _SKIN_REACH = 0.03
 # A turn of the head fades from the head to the trunk over this height below the chin.
-_DRAPE_HEIGHT = 0.11
+_DRAPE_HEIGHT = 0.09
 _DRAPE_CHAIN = ("trunk", "neck01", "neck02", "neck03", "head")
 _DRAPE_STEPS = 128
 
@@ -124,8 +124,8 @@ class Surface:
         return Surface(bust.vertices[index], bust.normals[index])
 
     @cached_property
-    def tree(self) -> cKDTree:
-        return cKDTree(self.points)
+    def tree(self) -> KDTree:
+        return KDTree(self.points)
 
     def distance(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Signed distance (...,) of points (..., 3), positive outside, and its direction."""
@@ -199,7 +199,7 @@ def spread(
         if len(pool) == 0:
             pool = np.arange(len(guides))
         k = min(neighbours, len(pool))
-        distance, index = cKDTree(guides[pool]).query(roots[mine], k=k)
+        distance, index = KDTree(guides[pool]).query(roots[mine], k=k)
         distance, index = distance.reshape(len(mine), k), index.reshape(len(mine), k)
         weight = 1 / (distance + 1e-4) ** 2
         ids[mine[:, None], np.arange(k)] = pool[index]
@@ -382,7 +382,7 @@ class Draped:
         result[low] = _bend(self.strands[low], self.chin, chain)
         posed = _bend(self.guides[guides], self.chin, chain)
         surface = Surface.of(bust)
-        moved = surface.push_out(posed, self.margin) - posed
+        moved = surface.push_out(surface.push_out(posed, self.margin), self.margin) - posed
         # The rest shape already clears the skin: the first points need no help.
         moved[:, :2] = 0
         correction = np.zeros(self.guides.shape, np.float32)
@@ -392,7 +392,7 @@ class Draped:
 
 
 def _bend(points: np.ndarray, chin: float, chain: np.ndarray) -> np.ndarray:
-    """Move points (..., 3) with the (5, 3, 4) motions of the neck by their height under the chin."""
+    """Move points (..., 3) with the (5, 3, 4) motions of the neck by height under the chin."""
     level = np.linspace(0, 1, _DRAPE_STEPS)
     knots = np.linspace(0, 1, len(chain))
     hats = np.stack([np.interp(level, knots, hat) for hat in np.eye(len(chain))], axis=1)
