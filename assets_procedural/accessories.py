@@ -44,7 +44,9 @@ def _earrings(earrings: Earrings, identity: Identity) -> list[MeshPiece]:
             # In its own frame: x out of the ear, y backwards, z up; the hole at the origin.
             ring = np.stack([0 * angle, radius * np.sin(angle), radius * np.cos(angle)], axis=1)
             wire = float(np.clip(0.05 * radius, 0.6e-3, 1.1e-3))
-            points, faces = sweep(ring, ring.copy(), rounded(2 * wire, 2 * wire, 2, 12), closed=True)
+            points, faces = sweep(
+                ring, ring.copy(), rounded(2 * wire, 2 * wire, 2, 12), closed=True
+            )
             points = points - [0, 0, radius - 1.2e-3]
             turn = side * np.radians(38.0)
             swing = np.array(

@@ -140,9 +140,10 @@ def _crown(crown: Crown, width: float, rng: np.random.Generator) -> np.ndarray:
         cusps = 2 if crown.kind == "premolar" else 4
         wave = np.cos(2 * angle + np.pi) if cusps == 2 else np.cos(4 * angle + np.pi)
         bite = 0.45 * wave[None] * np.clip((rise - 0.75) / 0.2, 0, 1)
-        bite = bite * np.array([1] * (RINGS - 2) + [0.6, 0.0])[:, None] - 0.9 * (
-            np.arange(RINGS) == RINGS - 1
-        )[:, None]
+        bite = (
+            bite * np.array([1] * (RINGS - 2) + [0.6, 0.0])[:, None]
+            - 0.9 * (np.arange(RINGS) == RINGS - 1)[:, None]
+        )
     x = half_width * np.sign(cos) * np.abs(cos) ** (2 / power)
     y = half_depth * np.sign(sin) * np.abs(sin) ** (2 / power)
     # The outer face bulges a little in its lower third and leans back towards the edge.
@@ -151,9 +152,7 @@ def _crown(crown: Crown, width: float, rng: np.random.Generator) -> np.ndarray:
     return np.stack(np.broadcast_arrays(x, y - half_depth + labial, z), axis=-1).reshape(-1, 3)
 
 
-def _gums(
-    curve: _Arch, seats: list[tuple[float, float, float]]
-) -> tuple[np.ndarray, np.ndarray]:
+def _gums(curve: _Arch, seats: list[tuple[float, float, float]]) -> tuple[np.ndarray, np.ndarray]:
     """A closed band around the necks whose margin rises to a papilla between neighbours."""
     order = sorted(seats)
     centre = np.array([s for s, _, _ in order])

@@ -129,9 +129,7 @@ def _eyeball_profile() -> np.ndarray:
     )
     # The sclera's edge is rounded off towards the iris instead of ending in a step.
     sink = 0.012 * np.exp(-(((theta - _LIMBUS) / 0.03) ** 2))
-    sclera = np.stack(
-        [(1 - sink) * np.sin(theta), (1 - sink) * np.cos(theta), theta], axis=1
-    )
+    sclera = np.stack([(1 - sink) * np.sin(theta), (1 - sink) * np.cos(theta), theta], axis=1)
     return np.concatenate([iris, sclera])
 
 
@@ -184,9 +182,7 @@ class _Lids:
         """(3,) the inner canthus in the head's unposed frame."""
         return (self.corner @ bust.unposed).mean(axis=0)
 
-    def contact(
-        self, bust: Bust, centre: np.ndarray, radius: float, phi: np.ndarray
-    ) -> np.ndarray:
+    def contact(self, bust: Bust, centre: np.ndarray, radius: float, phi: np.ndarray) -> np.ndarray:
         """Smallest angle theta (N,) at which the lids touch the eyeball at azimuths `phi`.
 
         In the head's unposed frame; azimuths without any contact take their neighbours'.
@@ -228,7 +224,7 @@ def _lid_pieces(name: str, part: Part) -> list[MeshPiece]:
     inner = np.pi if name == "eye_left" else 2 * np.pi
     outer = 2 * np.pi if name == "eye_left" else np.pi
     phi = np.linspace(inner, outer, _TEAR_SAMPLES)
-    # Cross-section of the meniscus: millimetres along the eyeball from the lid's edge, and above it.
+    # The meniscus' cross-section: millimetres along the eyeball from the lid, and above it.
     along = np.array([-0.75, -0.35, 0.0, 0.35])
     above = np.array([0.02, 0.14, 0.42, 0.85])
 

@@ -160,14 +160,14 @@ def beard(person: Person, identity: Identity, rng: np.random.Generator) -> list[
     if style == "none":
         return []
     density = _beard_density(person, identity)
-    counts = {"stubble": 22000, "moustache": 2600, "goatee": 5200, "full": 16000}
+    counts = {"stubble": 45000, "moustache": 2600, "goatee": 5200, "full": 16000}
     count = int(counts[style] * (0.5 + 0.5 * person.beard.density))
     roots = sample_roots(identity, density, count, rng)
     at = roots.of(identity.model.template)
     count = len(at)
     full = np.full(count, person.beard.length_mm * 1e-3)
     if style == "stubble":
-        full = np.clip(full, 0.0004, 0.0015)
+        full = np.clip(full, 0.001, 0.002)
     # Shorter towards the edges of the beard and under the lip; a moustache stays off the mouth.
     edge = smoothstep(0, 0.9, density(at, roots))
     length = full * (0.35 + 0.65 * edge) * rng.uniform(0.6, 1.1, count)
@@ -184,7 +184,7 @@ def beard(person: Person, identity: Identity, rng: np.random.Generator) -> list[
     if style != "stubble":
         strands = _locked(strands, 14, 0.35, rng)
         strands = wander(strands, 0.12 * length, rng)
-    root = 8e-5 if style == "stubble" else 5.5e-5
+    root = 1e-4 if style == "stubble" else 5.5e-5
     radius = tapered(count, points, root, 0.4 * root, rng)
     grey = float(np.clip(person.hair.grey * 1.15, 0, 1))
     shading = colouring(
@@ -224,7 +224,7 @@ def _beard_density(person: Person, identity: Identity) -> Callable:
         above_neck = smoothstep(-0.008, 0.008, z - neck)
         whole = below * above_neck
         moustache = (z > 0.6665) * smoothstep(0.034, 0.027, x) * smoothstep(0.6865, 0.681, z)
-        moustache = moustache * (0.45 + 0.55 * smoothstep(0.002, 0.006, x)) * (y < -0.12)
+        moustache = moustache * (0.75 + 0.25 * smoothstep(0.001, 0.005, x)) * (y < -0.12)
         # The gaps beside the soul patch.
         lower = smoothstep(0.004, 0.008, np.abs(x - 0.0135)) + (z < 0.643) + (z > 0.658)
         chin = whole * smoothstep(0.034, 0.026, x) * (y < -0.085) * (z < 0.667)

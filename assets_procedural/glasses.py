@@ -113,7 +113,7 @@ class _Fit:
         self.centre_x = self.middle[0]
 
     def place(self, x: np.ndarray, z: np.ndarray, forward: np.ndarray | float = 0.0) -> np.ndarray:
-        """Millimetres on the front (x from the midline, z from the pupils' height) → rest (N, 3)."""
+        """Millimetres on the front (x from the midline, z from the pupils) → rest (N, 3)."""
         x, z = np.broadcast_arrays(np.asarray(x, float), np.asarray(z, float))
         # Wrapped around the face, and tilted so that the lower rims come closer to the cheeks.
         back = x**2 / 620.0 - 0.11 * z - forward
@@ -160,9 +160,7 @@ def _rim(fit: _Fit, shape: _Shape, side: float, metal: bool) -> tuple[np.ndarray
     return sweep(path, outward, profile, closed=True)
 
 
-def _bridges(
-    fit: _Fit, shape: _Shape, metal: bool
-) -> list[tuple[np.ndarray, np.ndarray]]:
+def _bridges(fit: _Fit, shape: _Shape, metal: bool) -> list[tuple[np.ndarray, np.ndarray]]:
     bars = []
     for bar in range(shape.bars):
         height = shape.bridge + (9.5 if bar else 0.0)

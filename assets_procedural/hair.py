@@ -177,7 +177,7 @@ _TOP_TIE = (0.0, 0.035, 0.852)
 STYLES: dict[str, Style | None] = {
     "bald": None,
     "buzz": Style(
-        combed_from_whorl, (0.003, 0.008), count=60000, points=4, radius=8.5e-5, lift=0.6,
+        combed_from_whorl, (0.005, 0.011), count=60000, points=4, radius=8.5e-5, lift=0.4,
         reach=1, gravity=0, volume=0, lock=(1, 0), stray=0.0006, flyaway=0, roughness=0.4,
     ),
     "receding": Style(
@@ -301,7 +301,8 @@ def _scalp_density(person: Person, style: Style, ears: np.ndarray, soft: float) 
         front = np.exp(-((np.degrees(np.arctan2(offset[:, 0], -offset[:, 1])) / 60) ** 2))
         width = soft * (0.7 + 0.6 * front)
         grown = smoothstep(-width, width, inside) * smoothstep(0.7, 0.35, roots.of(ears))
-        grown = grown * (0.25 + 0.75 * _bare_risk(points, inside, style, person))
+        if style.volume > 0:
+            grown = grown * (0.25 + 0.75 * _bare_risk(points, inside, style, person))
         if style.crown > 0:
             # What pattern baldness leaves: a wreath, and down on the top.
             top = smoothstep(0.786, 0.818, points[:, 2] - 0.15 * np.maximum(points[:, 1], 0))

@@ -5,6 +5,7 @@ As in `wardrobe`, the cut is a level set over the average person at rest; `field
 
 from __future__ import annotations
 
+import itertools
 from functools import lru_cache
 
 import numpy as np
@@ -62,9 +63,7 @@ def hat(wearing: Hat, identity: Identity) -> list[MeshPiece]:
     }
     material = "knit" if knitted else "cloth"
     uv = _around(points, field)[faces]
-    pieces = [
-        MeshPiece("hat", Part.HEADWEAR, faces, material, _with_head(points), parameters, uv)
-    ]
+    pieces = [MeshPiece("hat", Part.HEADWEAR, faces, material, _with_head(points), parameters, uv)]
     if not knitted:
         top = points[np.argmax(field)]
         button, button_faces = ellipsoid(top, np.diag([0.006, 0.006, 0.003]))
@@ -138,7 +137,7 @@ def _hemmed(
         rings.append(start + np.arange(len(loop)))
         start += len(loop)
     strips = []
-    for first, second in zip(rings, rings[1:], strict=False):
+    for first, second in itertools.pairwise(rings):
         a, b = np.roll(first, -1), np.roll(second, -1)
         strips += [np.stack([a, first, second], 1), np.stack([a, second, b], 1)]
     return np.concatenate(added), np.concatenate([faces, *strips]).astype(np.int32)

@@ -141,7 +141,9 @@ def _angular_noise(rng: np.random.Generator, phi: np.ndarray, frequency: float) 
     sigma = count / (2 * np.pi * frequency)
     ring = gaussian_filter1d(rng.normal(size=count), sigma, mode="wrap")
     ring /= max(float(ring.std()), 1e-9)
-    return np.interp(phi % (2 * np.pi), np.arange(count) * 2 * np.pi / count, ring, period=2 * np.pi)
+    return np.interp(
+        phi % (2 * np.pi), np.arange(count) * 2 * np.pi / count, ring, period=2 * np.pi
+    )
 
 
 def _streaks(

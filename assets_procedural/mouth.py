@@ -23,7 +23,6 @@ _LOWER_ARCH = _UPPER_ARCH * [0.93, 0.97]
 _UPPER_WALL, _LOWER_WALL = (554, 571), (557, 574)
 # Where the lips meet.
 _SEAM = (474, 493, 520, 523)
-_JAW_SHIFTS = ("jawLeft", "jawRight", "jawForward")
 
 
 def mouth(person: Person, identity: Identity) -> list[MeshPiece]:
@@ -51,12 +50,12 @@ def mouth(person: Person, identity: Identity) -> list[MeshPiece]:
             ("gums", dentition.gums, dentition.gums_faces, gum),
         ):
             rest = frame.upper(points) if name == "upper" else frame.lower(points)
-            # The lower jaw is mirrored in z, which turns its faces inside out.
+            # The lower jaw is a mirror image, which turns its faces inside out.
             pieces.append(
                 MeshPiece(
                     f"{kind}_{name}",
                     Part.MOUTH_INTERIOR,
-                    faces if name == "lower" else faces[:, ::-1],
+                    faces if name == "upper" else faces[:, ::-1],
                     kind,
                     place(rest),
                     {"colour": tuple(float(c) for c in np.clip(colour, 0, 0.9))},
@@ -84,8 +83,8 @@ def mouth(person: Person, identity: Identity) -> list[MeshPiece]:
 def jaw_motion(bust: Bust) -> np.ndarray:
     """(4, 4) rigid motion of the lower jaw in the unposed head, from rest.
 
-    The rotation is the best fit to the head model's own lower teeth; sideways and forward shifts,
-    which leave those teeth alone, are those of the lower lip's wet side.
+    The best rigid fit (Kabsch 1976) to the head model's own lower teeth, which its jaw shapes bend
+    a little.
     """
     model, rest = bust.model, bust.identity.rest
     group = model.groups["teeth_lower"]
@@ -95,11 +94,6 @@ def jaw_motion(bust: Bust) -> np.ndarray:
     motion = np.eye(4)
     motion[:3, :3] = rotation.as_matrix()
     motion[:3, 3] = end - motion[:3, :3] @ start
-    for name in _JAW_SHIFTS:
-        value = bust.pose.expression.get(name, 0.0)
-        if value:
-            shape = model.arrays["facial/shapes"][model.expression_names.index(name)]
-            motion[:3, 3] += value * shape[_base(model, _LOWER_WALL)].mean(axis=0)
     return motion
 
 
@@ -108,21 +102,12 @@ class _Frame:
 
     def __init__(self, identity: Identity):
         model, rest = identity.model, identity.rest
-        template = model.template.astype(float)
         upper = model.groups["teeth_upper"]
-        # The arch tilts with the head's own teeth: their mirrored ends lie on the biting plane.
-        edge = rest[upper]
-        front, back = edge[np.argmin(edge[:, 1])], edge[np.argmax(edge[:, 1])]
-        rise = edge[np.argsort(edge[:, 1])]
-        depth = float(back[1] - front[1])
-        slope = np.polyfit(rise[:, 1], rise[:, 2], 1)[0]
-        self.tilt = float(np.arctan(slope))
-        breadth = float(np.ptp(edge[:, 0]))
-        reference = template[upper]
-        self.scale = 1e-3 * np.array(
-            [breadth / np.ptp(reference[:, 0]), depth / np.ptp(reference[:, 1]), 1.0]
-        )
-        self.scale[2] = self.scale[:2].mean()
+        teeth, reference = rest[upper], model.template[upper]
+        # The biting plane has the tilt of the head model's own upper teeth, front to back.
+        self.tilt = float(np.arctan(np.polyfit(teeth[:, 1], teeth[:, 2], 1)[0]))
+        scale = np.ptp(teeth[:, :2], axis=0) / np.ptp(reference[:, :2], axis=0)
+        self.scale = 1e-3 * np.append(scale, scale.mean())
         self.seam = rest[_base(model, _SEAM)].mean(axis=0)
         self.wall = rest[_base(model, _UPPER_WALL)][:, 1].max()
         self.lower_wall = rest[_base(model, _LOWER_WALL)][:, 1].max()

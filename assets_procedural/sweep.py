@@ -32,11 +32,7 @@ def sweep(
         push = np.array([-0.5, -0.35, *([0.0] * steps), 0.35, 0.5])[:, None] * size
         path = path[extra] + push * tangent[extra]
         profile, first, second = profile[extra] * shrink, first[extra], second[extra]
-    rings = (
-        path[:, None]
-        + profile[..., :1] * first[:, None]
-        + profile[..., 1:] * second[:, None]
-    )
+    rings = path[:, None] + profile[..., :1] * first[:, None] + profile[..., 1:] * second[:, None]
     count = rings.shape[1]
     index = np.arange(len(rings) * count).reshape(-1, count)
     if closed:

@@ -6,6 +6,7 @@ style fits every identity. `field > 0` is cloth.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -23,8 +24,12 @@ _HIDDEN_MARGIN = 0.022
 
 @dataclass(frozen=True)
 class _Style:
-    """`front` and `back`: heights (m, template) where the neckline crosses the midline; `gap` of the
-    cloth over the skin; `band`: width of the collar band; `rise` of that band off the cloth."""
+    """How a top is cut, in metres.
+
+    `front` and `back` are the heights where the neckline crosses the midline of the average person
+    and `vee` the point of a V-neck (0: none); `gap` is the slack over the skin, `band` the width of
+    the collar band and `thickness` its rise off the cloth.
+    """
 
     front: float
     back: float
@@ -47,8 +52,9 @@ STYLES = {
 def wardrobe(person: Person, identity: Identity) -> list[MeshPiece]:
     """The top that a person wears: its body and its collar band.
 
-    Materials "cloth" or "knit" with `parameters` colour, accent (linear Rec.709), pattern, weave and
-    roughness. `uv` are metres along the cloth (u across, v upwards; on a band along and across it).
+    Materials "cloth" or "knit"; `parameters` hold colour and accent (linear Rec.709), pattern,
+    weave and roughness. `uv` are metres along the cloth: u across and v upwards, or along and
+    across the band.
 
     Raises:
         KeyError: an unknown style.
@@ -99,7 +105,7 @@ def _field(p: np.ndarray, name: str) -> np.ndarray:
         field = _soft_max(field, x - 0.078, 0.03)
         hole = 0.128 + 0.25 * np.clip(0.43 - z, 0, 0.1) - x
         field = _soft_min(field, hole, 0.004)
-    return field
+    return np.where(z > 0.57, -0.05, field)  # never the head, however wide the ears
 
 
 def _soft_min(a: np.ndarray, b: np.ndarray, width: float) -> np.ndarray:
@@ -195,9 +201,7 @@ class _Garment:
             motion = bust.blend_bones(weights)
             return np.einsum("nij,nj->ni", motion[..., :3], rest) + motion[..., 3]
 
-        return MeshPiece(
-            name, Part.CLOTHING, local, material, place, parameters, uv[used][local]
-        )
+        return MeshPiece(name, Part.CLOTHING, local, material, place, parameters, uv[used][local])
 
     def _add(self, points: np.ndarray, weights: np.ndarray, uv: np.ndarray) -> int:
         start = self._count
@@ -230,7 +234,7 @@ class _Garment:
             ring = edge + thick * (along * out + above * normal)
             start = self._add(ring, weights[loop], self._texture[0][loop])
             rings.append(start + np.arange(len(loop)))
-        return np.concatenate([_strip(a, b) for a, b in zip(rings, rings[1:], strict=False)])
+        return np.concatenate([_strip(a, b) for a, b in itertools.pairwise(rings)])
 
     def _close(
         self, loop: np.ndarray, cloth: np.ndarray, weights: np.ndarray, centre: np.ndarray
@@ -246,8 +250,10 @@ class _Garment:
             axis, reach = np.array([0.0, 0.0, -1.0]), 0.12
         farthest = ((edge - middle) @ axis).max()
         target = edge + (farthest + reach - (edge - middle) @ axis)[:, None] * axis
-        target = middle + (farthest + reach) * axis + 0.94 * (
-            target - middle - (farthest + reach) * axis
+        target = (
+            middle
+            + (farthest + reach) * axis
+            + 0.94 * (target - middle - (farthest + reach) * axis)
         )
         target = _ring_smooth(target, 30)
         rings = [loop]
@@ -259,7 +265,7 @@ class _Garment:
                         self._texture[0][loop].mean(axis=0)[None])  # fmt: skip
         last = rings[-1]
         fan = np.stack([np.roll(last, -1), last, np.full(len(last), cap)], axis=1)
-        strips = [_strip(a, b) for a, b in zip(rings, rings[1:], strict=False)]
+        strips = [_strip(a, b) for a, b in itertools.pairwise(rings)]
         return np.concatenate([*strips, fan])
 
     def _around(self, pattern: _Pattern, field: np.ndarray) -> np.ndarray:

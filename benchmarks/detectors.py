@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import os
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -248,8 +247,6 @@ def main() -> int:
     parser.add_argument("--landmarker", type=Path, help="a local face_landmarker.task, likewise")
     parser.add_argument("--markdown", action="store_true", help="print a Markdown table")
     options = parser.parse_args()
-    # TensorFlow Lite's chatter.
-    os.environ.setdefault("GLOG_minloglevel", "2")
     try:
         frames = read_frames(options.dataset, options.subset, options.yaw, options.limit)
         if not frames:

@@ -13,13 +13,10 @@ import os
 import platform
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 from assets_procedural.person import Parameters
 from synthgen.job import JobSpec, SubsetSpec
-
-if TYPE_CHECKING:
-    pass
 
 Kind = Literal["multiview", "video"]
 

@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from synthgen import console
+from synthgen.farm import DEFAULT_RENDERER
 
 if TYPE_CHECKING:
     from assets_procedural.environment import EnvironmentSpec
-
-RENDERER = "synthgen.stage.render:render_subject"
 
 app = typer.Typer(
     help="Render portrait datasets of synthetic people, with exact labels, under many lights.",
@@ -24,7 +23,7 @@ app = typer.Typer(
 
 Job = Annotated[Path, typer.Argument(metavar="JOB.toml", help="A job file; see render_jobs/.")]
 Dataset = Annotated[Path, typer.Argument(metavar="DIR", help="A dataset's folder.")]
-Key = Annotated[str, typer.Argument(metavar="KEY", help="A shot, such as s000003_p01.")]
+Key = Annotated[str, typer.Argument(metavar="KEY", help="A shot: [multiview/]s000003_p01.")]
 Overrides = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="Override a value of the job; repeatable."),
@@ -60,7 +59,7 @@ def plan(
     ] = None,
     device: Device = "cpu",
     threads: Threads = 1,
-    renderer: Renderer = RENDERER,
+    renderer: Renderer = DEFAULT_RENDERER,
 ) -> None:
     """Say what a job amounts to: subjects, shots, frames, bytes, core-hours, machines."""
     from synthgen import calibration, preflight
@@ -104,7 +103,7 @@ def render(
     retry_failed: Annotated[
         bool, typer.Option("--retry-failed", help="Try subjects again that were given up.")
     ] = False,
-    renderer: Renderer = RENDERER,
+    renderer: Renderer = DEFAULT_RENDERER,
 ) -> None:
     """Render a job. Running the same command again resumes."""
     from synthgen import preflight
@@ -205,7 +204,7 @@ def show(
     """Draw one shot with all its passes and environments; prints the picture's path."""
     from synthgen import pictures
 
-    target = output or out.with_name(f"{out.resolve().name}-{key}.png")
+    target = output or _beside(out, f"-{key.replace('/', '-')}.png")
     typer.echo(pictures.show(out, key, target, subset=subset))
 
 
@@ -217,10 +216,10 @@ def sheet(
     ] = None,
 ) -> None:
     """Draw a contact sheet of a dataset; prints the picture's path."""
-    from synthgen import pictures
+    from synthgen.sheet import sheet as draw
 
-    target = output or out.with_name(f"{out.resolve().name}.png")
-    typer.echo(pictures.sheet(out, target))
+    target = output or _beside(out, ".png")
+    typer.echo(draw(out, target))
 
 
 @app.command()
@@ -272,8 +271,13 @@ def export(
 
     if format_ != "nerfstudio":
         raise JobError("--format", "", format_, "choose nerfstudio")
-    destination = target or out.with_name(f"{out.resolve().name}-nerfstudio")
+    destination = target or _beside(out, "-nerfstudio")
     typer.echo(nerfstudio(out, destination))
+
+
+def _beside(out: Path, ending: str) -> Path:
+    folder = out if out.name not in ("", "..") else out.resolve()
+    return folder.with_name(folder.name + ending)
 
 
 def _check_panoramas(environments: list[EnvironmentSpec], out: Path, file: Path) -> None:

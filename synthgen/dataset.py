@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 
 from synthgen import ledger, manifest
-from synthgen.shards import MEMBER_OF, decode, decode_exr, decode_fields, read_sample
+from synthgen.codecs import decode_exr
+from synthgen.shards import MEMBER_OF, decode, decode_fields, read_sample
 from synthgen.shot import Shot
 
 
@@ -62,6 +63,13 @@ class Dataset:
         position = self.position(which)
         return decode(str(self.index.key[position]), self._members(position))
 
+    def find(self, key: str) -> Shot:
+        """`dataset[key]` for a key that a user typed: raises `StorageError` with one line."""
+        try:
+            return self[key]
+        except (KeyError, ValueError) as error:
+            raise ledger.StorageError(f"{self.folder}: {error.args[0]}") from None
+
     def read(self, which: int | str, fields: tuple[str, ...]) -> dict[str, Any]:
         """Decode some fields only: `rgb_00`, `hdr_00`, `albedo`, `normal`, `depth`, `meta`, …"""
         wanted = {MEMBER_OF.get(f, f + (".exr" if f.startswith("hdr") else ".png")) for f in fields}
@@ -102,7 +110,8 @@ class Dataset:
         if subset:
             found = [i for i in found if self.index.subset(i) == subset]
         if not found:
-            raise KeyError(f"no shot {which}")
+            example = f"; keys look like {self.keys()[0]}" if len(self) else ""
+            raise KeyError(f"no shot {which}{example}")
         if len(found) > 1:
             options = " or ".join(f"{self.index.subset(i)}/{name}" for i in found)
             raise KeyError(f"{which} is ambiguous: say {options}")

@@ -22,7 +22,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from synthgen.shards import encode_json, write_atomically
+from synthgen.atomic import write_atomically
+from synthgen.codecs import encode_json
 
 ATTEMPTS = 3
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import datetime
 import multiprocessing
-import os
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -20,7 +19,7 @@ import numpy as np
 from assets_procedural.environment import pool, write_pool
 from synthgen.calibration import Calibration, Kind, machine_name
 from synthgen.errors import JobError
-from synthgen.farm.worker import load_renderer
+from synthgen.farm.worker import end_process, load_renderer, redirect
 from synthgen.job import JobSpec, SubsetSpec
 from synthgen.plan import Plan, SubjectPlan
 from synthgen.shards import encode
@@ -159,9 +158,7 @@ def _measure(
     sender: Connection,
 ) -> None:
     """Body of the measuring process: sends (shots, frames, seconds, bytes, bytes) per subject."""
-    log = os.open(Path(folder) / "log.txt", os.O_WRONLY | os.O_CREAT | os.O_APPEND)
-    os.dup2(log, 1)
-    os.dup2(log, 2)
+    redirect(Path(folder) / "log.txt")
     try:
         job = JobSpec.model_validate_json(job_json)
         subjects = [SubjectPlan.model_validate_json(text) for text in subjects_json]
@@ -182,8 +179,7 @@ def _measure(
         sender.send(f"{type(error).__name__}: {error}".splitlines()[0])
     finally:
         sender.close()
-        # Blender can hang at the interpreter's exit.
-        os._exit(0)
+        end_process(0)
 
 
 def _failure(reason: str) -> JobError:

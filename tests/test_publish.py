@@ -6,21 +6,22 @@ import json
 from pathlib import Path
 
 import fake_renderer
+import mlcroissant
 import pytest
 import yaml
 
-from synthgen import ledger, publish
+from synthgen import card, ledger, publish
+from synthgen.atomic import sha256
+from synthgen.dataset import open_dataset
 from synthgen.farm.local import render_job
-from synthgen.shards import sha256
+from synthgen.shards import read_sample
 
 JOB = fake_renderer.small_job()
 
 
-@pytest.fixture(scope="module")
-def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("publish") / "out"
-    assert render_job(JOB, folder, workers=1, renderer=fake_renderer.RENDERER).complete
-    return folder
+@pytest.fixture
+def out(small_dataset: Path) -> Path:
+    return small_dataset
 
 
 def test_dataset_json_tells_everything(out: Path):
@@ -31,7 +32,7 @@ def test_dataset_json_tells_everything(out: Path):
     assert info["renderer"] == fake_renderer.RENDERER
     assert [e["id"] for e in info["environments"]] == ["city", "night", "studio"]
     assert all(e["licence"] for e in info["environments"] + info["licences"])
-    assert publish.totals(info) == {"subjects": 8, "shots": 16, "frames": 38}
+    assert card.totals(info) == {"subjects": 8, "shots": 16, "frames": 38}
     for shard in info["shards"]:
         assert sha256(out / shard["tar"]) == shard["sha256"]
     for name, digest in info["files"].items():
@@ -75,10 +76,17 @@ def test_croissant_names_what_exists(out: Path):
             assert field["source"]["fileObject"]["@id"] in objects
 
 
-def test_croissant_is_valid_for_mlcroissant(out: Path):
-    mlcroissant = pytest.importorskip("mlcroissant")
+def test_croissant_is_valid_for_mlcroissant(out: Path, caplog: pytest.LogCaptureFixture):
     dataset = mlcroissant.Dataset(out / "croissant.json")
-    assert next(iter(dataset.records("multiview")))
+    assert not dataset.metadata.ctx.issues.errors
+    assert not [r for r in caplog.records if r.levelname != "INFO"], caplog.text
+    for subset in JOB.subsets:
+        rows = list(dataset.records(subset))
+        keys = [row[f"{subset}/key"].decode() for row in rows]
+        assert keys == [str(key) for key in open_dataset(out, subset=subset).index.key]
+        shard = out / rows[0][f"{subset}/shard"].decode()
+        members = read_sample(shard, rows[0][f"{subset}/offset"], rows[0][f"{subset}/size"])
+        assert members["albedo.png"].startswith(b"\x89PNG")
 
 
 def test_an_unfinished_dataset_has_no_card(tmp_path: Path):

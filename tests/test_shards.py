@@ -12,8 +12,11 @@ import numpy as np
 import pytest
 
 from synthgen import shards
+from synthgen.atomic import replacing, write_atomically
+from synthgen.codecs import decode_exr
+from synthgen.gate import inspect
 from synthgen.plan import plan
-from synthgen.shot import Shot, inspect
+from synthgen.shot import Shot
 
 JOB = fake_renderer.small_job()
 
@@ -45,7 +48,7 @@ def test_member_names_are_those_of_the_contract(shot: Shot):
         *("rgb_00.png", "rgb_01.png", "hdr_00.exr", "hdr_01.exr", "albedo.png", "aov.exr"),
         *("alpha.png", "parts.png", "geometry.npz", "meta.json"),
     ]
-    planes = shards.decode_exr(shards.encode(shot)["aov.exr"])
+    planes = decode_exr(shards.encode(shot)["aov.exr"])
     assert set(planes) == set(shards.AOV_CHANNELS)
     assert planes["normal.X"].dtype == np.float16
     assert planes["depth.Z"].dtype == np.float32
@@ -99,8 +102,8 @@ def test_concatenated_subjects_are_a_tar(tmp_path: Path):
 
 def test_a_failed_write_leaves_nothing(tmp_path: Path):
     target = tmp_path / "file"
-    shards.write_atomically(target, b"old")
-    with pytest.raises(RuntimeError), shards.replacing(target) as file:
+    write_atomically(target, b"old")
+    with pytest.raises(RuntimeError), replacing(target) as file:
         file.write(b"half")
         raise RuntimeError
     assert target.read_bytes() == b"old"
@@ -157,6 +160,9 @@ DAMAGE = {
     "white image": lambda s: s.rgb.__setitem__(1, 255),
     "albedo is": lambda s: setattr(s, "albedo", s.albedo[:-1]),
     "geometry has no landmarks_canonical": lambda s: s.geometry.pop("landmarks_canonical"),
+    "meta has 1 exposures for 2": lambda s: s.meta["exposures"].pop(),
+    "not all finite and positive": lambda s: s.meta["exposures"].__setitem__(1, 0.0),
+    "geometry has joints": lambda s: s.meta["joints"].append("nose"),
     "alpha and parts overlap": lambda s: s.alpha.fill(255),
 }
 

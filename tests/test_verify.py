@@ -10,29 +10,21 @@ from collections.abc import Callable
 from pathlib import Path
 
 import duckdb
-import fake_renderer
 import numpy as np
 import pytest
 
 from synthgen import ledger, manifest
-from synthgen.farm.local import render_job
-from synthgen.shards import decode, encode, sha256, tar_entry
+from synthgen.atomic import sha256
+from synthgen.shards import decode, encode, tar_entry
 from synthgen.verify import verify
 
-JOB = fake_renderer.small_job()
 TAR = "data/multiview/train-000000.tar"
 
 
-@pytest.fixture(scope="module")
-def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("sound") / "out"
-    assert render_job(JOB, out, workers=1, renderer=fake_renderer.RENDERER).complete
-    return out
-
-
 @pytest.fixture
-def out(sound: Path, tmp_path: Path) -> Path:
-    shutil.copytree(sound, tmp_path / "out")
+def out(small_dataset: Path, tmp_path: Path) -> Path:
+    """A copy that may be damaged."""
+    shutil.copytree(small_dataset, tmp_path / "out")
     return tmp_path / "out"
 
 
@@ -196,8 +188,8 @@ DAMAGE: dict[str, tuple[Callable[[Path], object], str]] = {
 }
 
 
-def test_a_sound_dataset_has_no_problem(sound: Path):
-    assert verify(sound) == []
+def test_a_sound_dataset_has_no_problem(small_dataset: Path):
+    assert verify(small_dataset) == []
 
 
 @pytest.mark.parametrize("name", DAMAGE)
@@ -219,9 +211,9 @@ def test_every_region_of_a_shard_is_covered(out: Path):
     assert verify(out) == []
 
 
-def test_large_datasets_are_checked_by_processes(sound: Path, monkeypatch: pytest.MonkeyPatch):
+def test_large_datasets_are_checked_by_processes(small_dataset: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr("synthgen.verify.PARALLEL_BYTES", 0)
-    assert verify(sound, workers=2) == []
+    assert verify(small_dataset, workers=2) == []
 
 
 def test_no_dataset_is_one_line(tmp_path: Path):
@@ -231,9 +223,9 @@ def test_no_dataset_is_one_line(tmp_path: Path):
     assert verify(tmp_path) == ["dataset.json: format 99, not 1"]
 
 
-def test_io_is_what_the_manifest_says(sound: Path):
-    for row in manifest.query(sound, "SELECT shard, members FROM manifest").to_pylist():
-        with (sound / row["shard"]).open("rb") as file:
+def test_io_is_what_the_manifest_says(small_dataset: Path):
+    for row in manifest.query(small_dataset, "SELECT shard, members FROM manifest").to_pylist():
+        with (small_dataset / row["shard"]).open("rb") as file:
             for member in row["members"]:
                 file.seek(member["offset"])
                 content = file.read(member["size"])

@@ -10,7 +10,6 @@ import contextlib
 import ctypes
 import dataclasses
 import errno
-import hashlib
 import importlib
 import os
 import signal
@@ -23,18 +22,13 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
+from synthgen.farm.commit import GateError, commit_subject
 from synthgen.job import JobSpec
-from synthgen.ledger import work_file
 from synthgen.plan import SubjectPlan
-from synthgen.shards import encode, encode_json, replacing, tar_entry, write_atomically
-from synthgen.shot import RenderedSubject, inspect
+from synthgen.shot import RenderedSubject
 
 DISK_FULL = (errno.ENOSPC, errno.EDQUOT)
 Renderer = Callable[[SubjectPlan, JobSpec, Path, str, int], RenderedSubject]
-
-
-class GateError(RuntimeError):
-    """A shot broke a promise of the dataset contract."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -92,58 +86,6 @@ def _attempt(render: Renderer, orders: Orders, subject: SubjectPlan) -> tuple[An
         kind = "full" if is_disk_full(error) else "failed"
         return kind, reason_of(error)
     return "done", time.perf_counter() - start
-
-
-def commit_subject(
-    out: Path, subject: SubjectPlan, rendered: RenderedSubject, seconds: float
-) -> None:
-    """Gate every shot, then commit mesh, parameters and tar entries, and last the manifest rows.
-
-    `seconds` is what rendering took. Raises `GateError` naming shot and promise.
-    """
-    from synthgen.manifest import encode_rows, row
-
-    keys = [shot.key for shot in rendered.shots]
-    expected = [shot.key for shot in subject.shots]
-    if keys != expected:
-        raise GateError(f"the renderer returned {len(keys)} shots instead of {len(expected)}")
-    folder = out / "subjects" / subject.subset
-    mesh = folder / f"{subject.key}.glb"
-    tar = work_file(out, subject.subset, subject.key, ".tar")
-    rows, position, fields = [], 0, None
-    with replacing(tar) as file:
-        for shot in rendered.shots:
-            start = time.perf_counter()
-            problems, figures = inspect(shot)
-            if problems:
-                raise GateError(f"{shot.key}: {'; '.join(problems)}")
-            members, entry = [], position
-            for name, content in encode(shot).items():
-                entry_bytes = tar_entry(f"{shot.key}.{name}", content)
-                members.append({"name": name, "offset": position + 512, "size": len(content)})
-                file.write(entry_bytes)
-                position += len(entry_bytes)
-            names = [m["name"] for m in members]
-            if fields not in (None, names):
-                raise GateError(f"{shot.key}: other members than the first shot's")
-            fields = names
-            cost = {
-                **shot.cost,
-                "store": time.perf_counter() - start,
-                "subject": seconds,
-            }
-            place = {
-                "shard": tar.relative_to(out).as_posix(),
-                "offset": entry,
-                "size": position - entry,
-                "members": members,
-                "mesh": mesh.relative_to(out).as_posix(),
-                "mesh_sha256": hashlib.sha256(rendered.mesh_glb).hexdigest(),
-            }
-            rows.append(row(shot.meta, figures, cost, place))
-        write_atomically(mesh, rendered.mesh_glb)
-        write_atomically(mesh.with_suffix(".json"), encode_json(rendered.parameters))
-    write_atomically(tar.with_suffix(".json"), encode_rows(rows))
 
 
 def reason_of(error: BaseException) -> str:

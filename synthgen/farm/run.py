@@ -1,0 +1,247 @@
+"""One pass over a slice of the plan: hand out subjects, hear workers, commit shards."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import signal
+import time
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from multiprocessing import connection
+from pathlib import Path
+from typing import Any
+
+from synthgen import ledger, publish
+from synthgen.farm import progress
+from synthgen.farm.commit import clean_temporary, commit_shard, unpack_shard
+from synthgen.farm.slot import Slot, Task
+from synthgen.farm.worker import Orders
+from synthgen.plan import Plan, ShardPlan, subject_key
+
+START_LIMIT = 600.0
+# So many failures in a row, without one success, mean that the set-up is broken, not the subjects.
+HOPELESS = 12
+
+
+@dataclass
+class Summary:
+    """What one call of `render_job` did. `complete`: the whole dataset is finished."""
+
+    rendered: int = 0
+    frames: int = 0
+    seconds: float = 0.0
+    shards: int = 0
+    failed: list[dict[str, Any]] = field(default_factory=list)
+    complete: bool = False
+
+
+class Run:
+    """One pass over a slice of the plan."""
+
+    def __init__(
+        self,
+        the_plan: Plan,
+        orders: Orders,
+        shard: tuple[int, int],
+        workers: int,
+        time_limit: float,
+        subjects_per_worker: int,
+    ) -> None:
+        self.plan, self.orders, self.out = the_plan, orders, orders.out
+        self.workers, self.time_limit = workers, time_limit
+        self.subjects_per_worker = subjects_per_worker
+        self.slice = f"{shard[0]}-of-{shard[1]}"
+        every = [s for name in the_plan.job.subsets for s in the_plan.shards(name)]
+        self.shards = every[shard[0] - 1 :: shard[1]]
+        self.missing: dict[str, set[int]] = {}  # open shard -> indices still to render
+        self.retries: deque[Task] = deque()
+        self.slots: dict[int, Slot] = {}
+        self.summary = Summary()
+        self.failures_in_a_row = 0
+        self.started = time.time()
+
+    def go(self, limit: int | None, retry_failed: bool) -> Summary:
+        """Render until nothing is left or `limit` subjects are rendered."""
+        clean_temporary(self.out, self.shards)
+        if retry_failed:
+            self._forgive()
+        tasks = self._tasks()
+        handed = 0
+        try:
+            with progress.bar(self) as advance:
+                while True:
+                    while sum(s.task is not None for s in self.slots.values()) < self.workers:
+                        task = self.retries.popleft() if self.retries else None
+                        if task is None and (limit is None or handed < limit):
+                            task = next(tasks, None)
+                            handed += task is not None
+                        if task is None:
+                            break
+                        self._hand_out(task)
+                    if not any(s.task for s in self.slots.values()):
+                        break
+                    progress.note(self)
+                    self._wait()
+                    advance()
+            for slot in self.slots.values():
+                slot.dismiss()
+        finally:
+            for slot in self.slots.values():
+                slot.kill()
+            progress.note_file(self).unlink(missing_ok=True)
+        self.summary.seconds = time.time() - self.started
+        names = {s.name.split("/")[0] for s in self.shards}
+        self.summary.failed = [f for f in ledger.failures(self.out) if f["subset"] in names]
+        return self.summary
+
+    # ------------------------------------------------------------ what is to do
+
+    def _tasks(self) -> Iterator[Task]:
+        """Subjects still to render, in order; commits shards that need no rendering on the way."""
+        for shard in self.shards:
+            stem = Path(shard.name).stem
+            if ledger.shard_record(self.out, shard.subset, stem) is not None:
+                self._tidy(shard)
+                continue
+            left = {
+                index
+                for index in shard.subjects
+                if not ledger.subject_done(self.out, shard.subset, subject_key(index))
+                and not ledger.quarantined(self.out, shard.subset, subject_key(index))
+            }
+            self.missing[shard.name] = left
+            if not left:
+                self._commit(shard)
+            for index in sorted(left):
+                yield Task(shard, self.plan.subject(shard.subset, index))
+
+    def _forgive(self) -> None:
+        """Give failed subjects of this slice another chance, opening their shards again."""
+        failed = {(f["subset"], f["key"]) for f in ledger.failures(self.out)}
+        for shard in self.shards:
+            keys = [k for i in shard.subjects if (shard.subset, k := subject_key(i)) in failed]
+            for key in keys:
+                ledger.forget_failure(self.out, shard.subset, key)
+            if keys and ledger.shard_record(self.out, shard.subset, Path(shard.name).stem):
+                with ledger.door(self.out):
+                    publish.reopen(self.out)
+                unpack_shard(self.out, shard)
+
+    # ------------------------------------------------------------ workers
+
+    def _hand_out(self, task: Task) -> None:
+        idle = [n for n, s in self.slots.items() if s.task is None]
+        for number in idle:
+            slot = self.slots[number]
+            if slot.served >= self.subjects_per_worker:
+                slot.dismiss()
+                del self.slots[number]
+        idle = [n for n in idle if n in self.slots]
+        if not idle:
+            number = next(n for n in range(self.workers) if n not in self.slots)
+            log = self.out / "work" / "logs" / f"{self.slice}-worker-{number}.log"
+            self.slots[number] = Slot(dataclasses.replace(self.orders, log=log), number)
+            idle = [number]
+        self.slots[idle[0]].give(task)
+
+    def _wait(self) -> None:
+        """Block until a worker says something, dies or exceeds its time; act on it."""
+        sources: dict[Any, Slot] = {}
+        for slot in self.slots.values():
+            sources[slot.pipe] = sources[slot.process.sentinel] = slot
+        for slot in {sources[source] for source in connection.wait(list(sources), 0.5)}:
+            self._listen(slot)
+        now = time.monotonic()
+        for slot in list(self.slots.values()):
+            allowed = self.time_limit if slot.ready else self.time_limit + START_LIMIT
+            if slot.task is not None and now - slot.since > allowed:
+                self._lose(slot, f"hung: killed after {now - slot.since:.0f} s")
+
+    def _listen(self, slot: Slot) -> None:
+        try:
+            message = slot.pipe.recv() if slot.pipe.poll() else None
+        except (EOFError, OSError):
+            message = None
+        if message is None:
+            slot.process.join(5)
+            self._lose(slot, _death(slot.process.exitcode))
+        elif message[0] == "ready":
+            slot.ready, slot.since = True, time.monotonic()
+        elif message[0] == "broken":
+            raise ledger.StorageError(
+                f"{self.orders.renderer}: cannot start: {message[1]} (log: {slot.log})"
+            )
+        elif message[0] == "full":
+            raise ledger.StorageError(full(self.out))
+        elif message[0] == "failed":
+            # Blender may be left in any state by an exception: go on with a fresh process.
+            self._lose(slot, message[1])
+        elif message[0] == "done" and slot.task is not None:
+            task, slot.task = slot.task, None
+            slot.served += 1
+            self.failures_in_a_row = 0
+            self.summary.rendered += 1
+            self.summary.frames += task.subject.frames
+            ledger.forget_failure(self.out, task.subject.subset, task.subject.key)
+            self._finish(task)
+
+    def _lose(self, slot: Slot, reason: str) -> None:
+        """A worker is gone, and with it the attempt at its subject."""
+        task = slot.task
+        slot.kill()
+        del self.slots[slot.number]
+        if task is None:
+            return
+        subset, key = task.subject.subset, task.subject.key
+        if ledger.subject_done(self.out, subset, key):  # it died after its commit
+            self._finish(task)
+            return
+        log = slot.log.relative_to(self.out).as_posix()
+        attempts = ledger.record_failure(self.out, subset, key, reason, log)
+        self.failures_in_a_row += 1
+        if self.failures_in_a_row >= HOPELESS and not self.summary.rendered:
+            raise ledger.StorageError(
+                f"the first {self.failures_in_a_row} attempts all failed, the last with: {reason} "
+                f"(log: {slot.log}); mend it, then run again with --retry-failed"
+            )
+        if attempts < ledger.ATTEMPTS:
+            self.retries.append(task)
+        else:
+            self._finish(task)
+
+    # ------------------------------------------------------------ shards
+
+    def _finish(self, task: Task) -> None:
+        left = self.missing[task.shard.name]
+        left.discard(task.subject.index)
+        if not left:
+            self._commit(task.shard)
+
+    def _commit(self, shard: ShardPlan) -> None:
+        commit_shard(self.out, shard)
+        del self.missing[shard.name]
+        self._tidy(shard)
+        self.summary.shards += 1
+
+    def _tidy(self, shard: ShardPlan) -> None:
+        """Remove the work files of a committed shard."""
+        folder = self.out / "work" / shard.subset
+        if folder.is_dir() and any(folder.iterdir()):
+            for index in shard.subjects:
+                for suffix in (".json", ".tar"):
+                    path = ledger.work_file(self.out, shard.subset, subject_key(index), suffix)
+                    path.unlink(missing_ok=True)
+
+
+def _death(code: int | None) -> str:
+    if code is not None and code < 0:
+        with contextlib.suppress(ValueError):
+            return f"crashed: worker died of {signal.Signals(-code).name}"
+    return f"crashed: worker ended with code {code}"
+
+
+def full(out: Path) -> str:
+    """The line that a user gets when the disk is full."""
+    return f"{out}: the disk is full; make room and run the same command to continue"
