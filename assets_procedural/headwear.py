@@ -9,9 +9,16 @@ import itertools
 from functools import lru_cache
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
-from assets_procedural.cloth import Sheet, border_loops, drape, sheet_from_quads
+from assets_procedural.cloth import (
+    Sheet,
+    border_loops,
+    drape,
+    ring_strip,
+    sheet_from_quads,
+    smooth_ring,
+)
 from assets_procedural.head import Bust, HeadModel, Identity, vertex_normals
 from assets_procedural.person import Hat, Person
 from assets_procedural.piece import MeshPiece, Part
@@ -44,7 +51,7 @@ def hat(wearing: Hat, identity: Identity) -> list[MeshPiece]:
     crown = np.clip((field - 0.05) / 0.05, 0, 1)
     least = 0.0035 + 0.003 * inside
     gap = 0.005 + (0.004 + 0.012 * crown) * inside if knitted else 0.005 + 0.009 * inside
-    points = drape(skin, sheet.faces, gap, least, 40 if knitted else 60)
+    points = drape(sheet, skin, gap, least, 40 if knitted else 60)
     normals = vertex_normals(points, sheet.faces)
     if knitted:
         # The brim is folded up: a second layer that ends in a soft step.
@@ -79,18 +86,15 @@ def hat(wearing: Hat, identity: Identity) -> list[MeshPiece]:
     return pieces
 
 
-def under_hat(points: np.ndarray, person: Person, identity: Identity) -> np.ndarray:
-    """(N,) mask of points (N, 3), rest space, that lie where the person's hat sits.
+def above_rim(points: np.ndarray, wearing: Hat, identity: Identity) -> np.ndarray:
+    """(N,) metres by which the skin nearest to points (N, 3), rest space, lies above the rim.
 
-    Hair that grows or passes there is pressed flat or left out. All False without a hat.
+    Positive where the hat sits, negative below it.
     """
-    if person.hat is None:
-        return np.zeros(len(points), bool)
     model = identity.model
     skin = model.groups["skin"]
-    _, nearest = cKDTree(identity.rest[skin]).query(points)
-    field = _field(_average_person(model)[skin], person.hat.style)
-    return field[nearest] > -0.003
+    _, nearest = KDTree(identity.rest[skin]).query(points)
+    return _field(_average_person(model)[skin], wearing.style)[nearest] + 0.003
 
 
 def _field(p: np.ndarray, style: str) -> np.ndarray:
@@ -126,9 +130,7 @@ def _hemmed(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Turn the edge in: a rounded rim and a lining that goes up inside."""
     edge = points[loop]
-    normal = normals[loop]
-    for _ in range(8):
-        normal = 0.5 * normal + 0.25 * (np.roll(normal, 1, axis=0) + np.roll(normal, -1, axis=0))
+    normal = smooth_ring(normals[loop], 8)
     normal = normal / np.linalg.norm(normal, axis=1, keepdims=True)
     rings, added = [loop], [points]
     start = len(points)
@@ -136,10 +138,7 @@ def _hemmed(
         added.append(edge - thick * (inward * normal + np.array([0, 0, down])))
         rings.append(start + np.arange(len(loop)))
         start += len(loop)
-    strips = []
-    for first, second in itertools.pairwise(rings):
-        a, b = np.roll(first, -1), np.roll(second, -1)
-        strips += [np.stack([a, first, second], 1), np.stack([a, second, b], 1)]
+    strips = [ring_strip(a, b) for a, b in itertools.pairwise(rings)]
     return np.concatenate(added), np.concatenate([faces, *strips]).astype(np.int32)
 
 

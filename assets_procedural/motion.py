@@ -131,7 +131,7 @@ class PoseSettings(Settings):
     """Head against trunk, positive down."""
     head_roll: Annotated[Interval, interval(-45.0, 45.0, "degrees")] = (-10.0, 10.0)
     """Head against trunk, sideways."""
-    frames_per_second: float = Field(default=6.0, gt=0.0, le=240.0)
+    frames_per_second: float = Field(default=2.5, gt=0.0, le=240.0)
     """Time step of a track (video subsets)."""
 
 

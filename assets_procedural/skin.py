@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from assets_procedural.hair import hairline_distance
 from assets_procedural.head import HeadModel
 from assets_procedural.person import Person
 from assets_procedural.regions import fields
@@ -76,15 +77,21 @@ def skin_fields(person: Person, model: HeadModel) -> SkinFields:
     lips = reflectance(np.full(1, lip_melanin), np.full(1, 1.5 + 0.9 * skin.haemoglobin))
     lips = lips * np.array([0.98, 0.86, 0.92])
     colour += (zone["lips"][:, None] * 0.85) * (lips - colour)
-    inside = np.array([0.16, 0.035, 0.03])
-    colour += zone["mouth_interior"][:, None] * (inside - colour)
+    mucosa = np.array([0.16, 0.035, 0.03])
+    colour += zone["mouth_interior"][:, None] * (mucosa - colour)
 
     has_beard = 1.0 if person.beard.style != "none" else 0.25
     shadow = male * has_beard * zone["beard"] * (0.4 + 0.6 * person.beard.density)
     colour *= 1 - 0.28 * shadow[:, None] * np.array([1.0, 0.92, 0.80])
 
+    # Hair stubble within the skin: without it, partings and short cuts show a bare scalp.
+    inside = np.clip(hairline_distance(model.template, person) / 6, 0, 1) * zone["scalp"]
+    cover = inside * (0.25 if person.hair.style == "bald" else 0.7) * (1 - 0.6 * person.hair.grey)
+    colour *= 1 - (cover * (0.35 + 0.45 * person.hair.melanin))[:, None]
+
     roughness = 0.52 - 0.16 * skin.oiliness * zone["t_zone"] - 0.04 * skin.oiliness
     roughness = roughness + zone["lips"] * (0.36 - roughness)
+    roughness = roughness + 0.15 * inside
     roughness = roughness + zone["mouth_interior"] * (0.2 - roughness)
 
     wrinkling = skin.wrinkles * (zone["forehead"] + zone["under_eye"] + 0.3 * zone["cheeks"])

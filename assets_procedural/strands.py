@@ -145,6 +145,11 @@ class Surface:
         lack = np.clip(margin - signed, 0, 0.06)
         return points + lack[..., None] * normal
 
+    def pull_in(self, points: np.ndarray, most: np.ndarray) -> np.ndarray:
+        """Points (..., 3) moved to at most `most` (...,) metres off the skin."""
+        signed, normal = self.distance(points)
+        return points - np.maximum(signed - most, 0)[..., None] * normal
+
 
 @dataclass(frozen=True, eq=False)
 class HeadFrame:

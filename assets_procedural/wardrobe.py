@@ -12,7 +12,14 @@ from functools import lru_cache
 
 import numpy as np
 
-from assets_procedural.cloth import Sheet, border_loops, drape, sheet_from_quads, smoothing
+from assets_procedural.cloth import (
+    Sheet,
+    border_loops,
+    drape,
+    ring_strip,
+    sheet_from_quads,
+    smooth_ring,
+)
 from assets_procedural.head import Bust, HeadModel, Identity, vertex_normals
 from assets_procedural.person import Person
 from assets_procedural.piece import MeshPiece, Part
@@ -44,7 +51,7 @@ class _Style:
 STYLES = {
     "tee": _Style(0.494, 0.551, 0.006, 0.020, 0.0012),
     "vneck": _Style(0.500, 0.550, 0.006, 0.016, 0.0012, vee=0.437),
-    "tank": _Style(0.452, 0.505, 0.004, 0.009, 0.0008, sleeveless=True),
+    "tank": _Style(0.468, 0.512, 0.004, 0.009, 0.0008, sleeveless=True),
     "crew_sweater": _Style(0.503, 0.557, 0.010, 0.024, 0.0026, material="knit"),
 }
 
@@ -163,7 +170,7 @@ class _Garment:
         inside = np.clip(field / 0.05, 0, 1)
         least = 0.0022 + (0.6 * style.gap) * inside
         gap = 0.003 + style.gap * inside
-        cloth = drape(skin, sheet.faces, gap, least, 36)
+        cloth = drape(sheet, skin, gap, least, 36)
         normals = vertex_normals(cloth, sheet.faces)
         # The band lies on the cloth, with a seam as a small step below it.
         raised = np.clip((style.band + 0.0009 - field) / 0.0014, 0, 1)
@@ -172,9 +179,8 @@ class _Garment:
         cloth = cloth + lift[:, None] * normals
 
         weights = sheet.matrix @ model.weights.astype(float)
-        step = smoothing(sheet.faces, len(skin), np.zeros(len(skin), bool))
         for _ in range(20):
-            weights = step @ weights
+            weights = sheet.smoothing @ weights
         self._add(cloth, weights, _unrolled(average))
         body = [sheet.faces[~pattern.band]]
         band = [sheet.faces[pattern.band]]
@@ -220,10 +226,10 @@ class _Garment:
         weights: np.ndarray,
     ) -> np.ndarray:
         """Turn the cloth in at its edge: a rounded rim and a lining that ends out of sight."""
-        edge, normal = cloth[loop], _ring_smooth(normals[loop], 6)
+        edge, normal = cloth[loop], smooth_ring(normals[loop], 6)
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
         tangent = np.roll(edge, -1, axis=0) - np.roll(edge, 1, axis=0)
-        tangent = _ring_smooth(tangent / np.linalg.norm(tangent, axis=1, keepdims=True), 6)
+        tangent = smooth_ring(tangent / np.linalg.norm(tangent, axis=1, keepdims=True), 6)
         # Faces lie to the left of their border, so this points out of the cloth.
         out = np.cross(tangent, normal)
         out /= np.linalg.norm(out, axis=1, keepdims=True)
@@ -234,7 +240,7 @@ class _Garment:
             ring = edge + thick * (along * out + above * normal)
             start = self._add(ring, weights[loop], self._texture[0][loop])
             rings.append(start + np.arange(len(loop)))
-        return np.concatenate([_strip(a, b) for a, b in itertools.pairwise(rings)])
+        return np.concatenate([ring_strip(a, b) for a, b in itertools.pairwise(rings)])
 
     def _close(
         self, loop: np.ndarray, cloth: np.ndarray, weights: np.ndarray, centre: np.ndarray
@@ -255,7 +261,7 @@ class _Garment:
             + (farthest + reach) * axis
             + 0.94 * (target - middle - (farthest + reach) * axis)
         )
-        target = _ring_smooth(target, 30)
+        target = smooth_ring(target, 30)
         rings = [loop]
         for share in (0.15, 0.4, 0.7, 1.0):
             ring = edge + share * (target - edge)
@@ -265,7 +271,7 @@ class _Garment:
                         self._texture[0][loop].mean(axis=0)[None])  # fmt: skip
         last = rings[-1]
         fan = np.stack([np.roll(last, -1), last, np.full(len(last), cap)], axis=1)
-        strips = [_strip(a, b) for a, b in itertools.pairwise(rings)]
+        strips = [ring_strip(a, b) for a, b in itertools.pairwise(rings)]
         return np.concatenate([*strips, fan])
 
     def _around(self, pattern: _Pattern, field: np.ndarray) -> np.ndarray:
@@ -300,15 +306,3 @@ def _folds(
         height += ridge**2.5 * patch**2
     start = np.clip((field - 0.03) / 0.07, 0, 1)
     return (0.0006 + 0.25 * gap) * start * height
-
-
-def _ring_smooth(ring: np.ndarray, steps: int) -> np.ndarray:
-    for _ in range(steps):
-        ring = 0.5 * ring + 0.25 * (np.roll(ring, 1, axis=0) + np.roll(ring, -1, axis=0))
-    return ring
-
-
-def _strip(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Triangles between two rings; `first` is a border in the direction of its faces."""
-    a, b = np.roll(first, -1), np.roll(second, -1)
-    return np.concatenate([np.stack([a, first, second], 1), np.stack([a, second, b], 1)])

@@ -7,10 +7,11 @@ import pytest
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from assets_procedural.accessories import accessories, under_hat
+from assets_procedural.accessories import accessories
 from assets_procedural.cloth import Sheet, border_loops, sheet_from_quads
 from assets_procedural.glasses import SHAPES
 from assets_procedural.head import HeadModel
+from assets_procedural.headwear import above_rim
 from assets_procedural.motion import Pose
 from assets_procedural.person import Earrings, Glasses, Hat, Person, Top
 from assets_procedural.piece import MeshPiece, Part
@@ -158,10 +159,9 @@ def test_hats_cover_the_scalp_and_nothing_else(model, style):
         assert piece.part == Part.HEADWEAR
         _check_mesh(piece, piece.place(bust))
     skin = model.groups["skin"]
-    under = under_hat(identity.rest[skin], person, identity)
+    under = above_rim(identity.rest[skin], person.hat, identity) > 0
     top = skin[np.argmax(identity.rest[skin, 2])]
     assert under[skin == top].all()
     assert not under[identity.rest[skin, 2] < identity.joints[4, 2]].any()
-    assert not under_hat(identity.rest[skin], Person(), identity).any()
     hat = pieces[0].place(bust)
     assert hat[:, 2].max() > identity.rest[top, 2] + 0.004

@@ -6,6 +6,7 @@ import numpy as np
 import trimesh
 
 from assets_procedural.head import Bust, Identity
+from assets_procedural.landmarks import COUNT, PUPILS
 from assets_procedural.person import Person
 from assets_procedural.piece import MeshPiece
 from assets_procedural.regions import fields
@@ -13,8 +14,10 @@ from assets_procedural.skin import skin_fields
 from synthgen.display import srgb_encode, to_bytes
 from synthgen.stage.build import Figure
 
-# How far behind the first surface in its pixel a landmark may lie and still count as seen.
-_VISIBLE_WITHIN = 0.008
+# How far behind the first surface in its pixel a landmark may lie and still count as seen, metres;
+# a closed lid is only 4 mm in front of the pupil.
+_VISIBLE_WITHIN = np.full(COUNT, 0.008)
+_VISIBLE_WITHIN[list(PUPILS.values())] = 0.003
 
 
 def control_geometry(bust: Bust) -> dict[str, np.ndarray]:
@@ -40,7 +43,7 @@ def frame_of_head(bust: Bust) -> tuple[np.ndarray, float]:
 
 
 def visible(pixels: np.ndarray, depth: np.ndarray, surface: np.ndarray) -> np.ndarray:
-    """Which points (N, 2), (N,) are seen: in the frame and on the first surface (H, W)."""
+    """Which landmarks (70, 2), (70,) are seen: in the frame and on the first surface (H, W)."""
     height, width = surface.shape
     column, row = np.floor(pixels).astype(int).T
     inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
