@@ -13,7 +13,7 @@ PIP    := $(BIN)/pip --disable-pip-version-check install --progress-bar off
 # CPU builds of torch are a tenth of the size. Where this index cannot be reached, any build serves.
 TORCH_CPU := --timeout 15 --retries 1 --extra-index-url https://download.pytorch.org/whl/cpu
 
-.PHONY: demo test lint setup clean
+.PHONY: demo test lint setup benchmark-setup clean
 .DELETE_ON_ERROR:
 
 setup: $(VENV)/.head
@@ -50,6 +50,11 @@ $(VENV)/.head: $(VENV)/.render
 	@echo "== preparing the head model (about a minute, once)"
 	@$(BIN)/python -c 'from assets_procedural.head import HeadModel; HeadModel.load()'
 	@touch $@
+
+benchmark-setup: setup
+	@echo "== installing real face detectors"
+	@$(PIP) --editable '.[benchmarks]'
+	@$(PIP) --no-deps mediapipe==0.10.21
 
 demo: setup
 	@echo "== rendering render_jobs/demo.toml into $(OUT)"

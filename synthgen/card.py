@@ -7,29 +7,17 @@ from typing import Any
 from synthgen.licences import licence
 from synthgen.plan import SPLITS
 
-FIELDS: dict[str, tuple[str, str]] = {
-    # member -> (what it is, media type)
-    "rgb_00.png": (
-        "Display-referred image under environment 00 (01, 02, … for the others)",
-        "image/png",
-    ),
-    "hdr_00.exr": ("Linear Rec.709 premultiplied foreground, half float", "image/x-exr"),
-    "albedo.png": ("True base colour, sRGB", "image/png"),
-    "aov.exr": (
-        "normal.XYZ (camera space), depth.Z (planar, metres), uv.UV, canonical.XYZ (metres)",
-        "image/x-exr",
-    ),
-    "alpha.png": ("Soft matte", "image/png"),
-    "parts.png": ("FaceSynthetics part ids 0-18, 255 = ignore", "image/png"),
-    "geometry.npz": (
-        "Control points posed and canonical, normals, joints, 3D landmarks",
-        "application/zip",
-    ),
-    "meta.json": (
-        "Camera, environments, expression, pose, gaze, 2D landmarks, seeds; "
-        "`person` is a JSON string",
-        "application/json",
-    ),
+# member -> what it is
+FIELDS = {
+    "rgb_00.png": "Display-referred image under environment 00 (01, 02, … for the others)",
+    "hdr_00.exr": "Linear Rec.709 premultiplied foreground, half float",
+    "albedo.png": "True base colour, sRGB",
+    "aov.exr": "normal.XYZ (camera space), depth.Z (planar, metres), uv.UV, canonical.XYZ (metres)",
+    "alpha.png": "Soft matte",
+    "parts.png": "FaceSynthetics part ids 0-18, 255 = ignore",
+    "geometry.npz": "Control points posed and canonical, normals, joints, 3D landmarks",
+    "meta.json": "Camera, environments, exposures, expression, pose, gaze, 2D landmarks, seeds; "
+    "`person` is a JSON string",
 }
 
 
@@ -72,7 +60,7 @@ def card(info: dict[str, Any]) -> str:
     if info["quarantined"]:
         lines += ["", f"{len(info['quarantined'])} subjects failed and are left out."]
     lines += ["", "## A sample", "", "| field | content |", "|---|---|"]
-    lines += [f"| `{name}` | {text} |" for name, (text, _) in _fields(info).items()]
+    lines += [f"| `{name}` | {text} |" for name, text in _fields(info).items()]
     first = next(iter(info["plan"]))
     split = next(iter(_splits(info, first)), "train")
     lines += [
@@ -111,6 +99,6 @@ def card(info: dict[str, Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _fields(info: dict[str, Any]) -> dict[str, tuple[str, str]]:
+def _fields(info: dict[str, Any]) -> dict[str, str]:
     linear = info["job"]["image"]["linear"]
     return {name: text for name, text in FIELDS.items() if linear or not name.startswith("hdr")}

@@ -212,14 +212,17 @@ def show(
 def sheet(
     out: Dataset,
     output: Annotated[
-        Path | None, typer.Option("--output", metavar="PNG", help="Default: DIR.png.")
+        Path | None, typer.Option("--output", metavar="FILE", help=".png or .jpg; default DIR.png.")
     ] = None,
+    portraits: Annotated[
+        bool, typer.Option("--portraits", help="One picture of each of ten people, nothing else.")
+    ] = False,
 ) -> None:
     """Draw a contact sheet of a dataset; prints the picture's path."""
-    from synthgen.sheet import sheet as draw
+    from synthgen import sheet as drawing
 
-    target = output or _beside(out, ".png")
-    typer.echo(draw(out, target))
+    draw = drawing.portraits if portraits else drawing.sheet
+    typer.echo(draw(out, output or _beside(out, ".png")))
 
 
 @app.command()

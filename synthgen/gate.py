@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from synthgen.display import display, to_bytes
 from synthgen.shot import Shot, camera_of
 
 PART_IDS = (*range(19), 255)
@@ -17,6 +18,7 @@ NORMAL_ANGLE = 20.0  # degrees, median between the normal pass and the slope of 
 MASK_OVERLAP = 0.7  # intersection over union of alpha > 127 and parts > 0
 ROTATION_ERROR = 1e-4
 MIN_MASK = 0.01  # share of the frame
+LIGHT_LEVELS = 1  # 8-bit levels between a picture and D(exposure · linear) where alpha is 255
 DARK, BRIGHT = 2.0, 253.0  # mean 8-bit level inside the mask
 
 
@@ -52,6 +54,19 @@ def quality(shot: Shot) -> dict[str, float]:
         "level_max": max(level),
         "contrast_min": min(deviation),
     }
+
+
+def _light_levels(shot: Shot) -> int:
+    """Largest difference between rgb and D(exposure · hdr) on opaque pixels; 0 without hdr."""
+    if shot.hdr is None:
+        return 0
+    opaque = shot.alpha == 255
+    worst = 0
+    for picture, linear, exposure in zip(shot.rgb, shot.hdr, shot.meta["exposures"], strict=True):
+        shown = to_bytes(display(exposure * linear[opaque][:, :3].astype(np.float32)))
+        difference = np.abs(picture[opaque][:, :3].astype(int) - shown)
+        worst = max(worst, int(difference.max(initial=0)))
+    return worst
 
 
 def _normal_angle(shot: Shot, mask: np.ndarray) -> float:
@@ -104,6 +119,10 @@ def inspect(shot: Shot) -> tuple[list[str], dict[str, float]]:
         (
             f("landmark_depth") <= LANDMARK_DEPTH,
             f"depth is {f('landmark_depth') * 1e3:.1f} mm off the visible landmarks",
+        ),
+        (
+            (levels := _light_levels(shot)) <= LIGHT_LEVELS,
+            f"a picture is {levels} levels off its linear light",
         ),
         (f("level_min") >= DARK, f"black image: mean level {f('level_min'):.1f}"),
         (f("level_max") <= BRIGHT, f"white image: mean level {f('level_max'):.1f}"),

@@ -40,10 +40,12 @@ def fit(picture: np.ndarray, width: int, height: int | None = None) -> Image.Ima
 
 
 def font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
+    """The one typeface of all pages; `size` in pixels."""
     return ImageFont.load_default(size)
 
 
 def put(page: Image.Image, tile: Tile) -> None:
+    """Draw a tile and its label."""
     page.paste(fit(tile.picture, tile.width, tile.height), (tile.x, tile.y))
     if tile.label:
         draw = ImageDraw.Draw(page)
@@ -51,8 +53,10 @@ def put(page: Image.Image, tile: Tile) -> None:
 
 
 def save(page: Image.Image, target: Path) -> Path:
+    """Write a page as JPEG or PNG by its name, whole or not at all. Returns `target`."""
+    kind = {".jpg": "JPEG", ".jpeg": "JPEG"}.get(target.suffix.lower(), "PNG")
     with replacing(target) as file:
-        page.save(file, "PNG", optimize=True)
+        page.save(file, kind, optimize=True, quality=88)
     return target
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from synthgen import ledger, publish
 from synthgen.dataset import open_dataset
-from synthgen.farm.worker import Orders, end_process, load_renderer, redirect
+from synthgen.farm.worker import Orders, end_process, load_renderer, reason_of, redirect
 from synthgen.plan import SubjectPlan
 from synthgen.shards import MEMBER_OF
 from synthgen.shot import Shot
@@ -100,7 +100,7 @@ def compare(stored: Shot, again: Shot) -> Report:
             fields[name] = _difference(getattr(stored, name), getattr(again, name))
     for name in sorted(stored.geometry):
         fields[f"geometry {name}"] = _difference(stored.geometry[name], again.geometry.get(name))
-    for name in ("camera", "landmarks"):
+    for name in ("camera", "exposures", "landmarks"):
         fields[f"meta {name}"] = _difference(
             _numbers(stored.meta[name]), _numbers(again.meta[name])
         )
@@ -134,6 +134,6 @@ def _render(orders: Orders, subject: SubjectPlan, target: Path) -> None:
         temporary.write_bytes(pickle.dumps(rendered.shots[0]))
         temporary.replace(target)
     except Exception as error:
-        print(f"{type(error).__name__}: {error}")
+        print(reason_of(error))
         end_process(1)
     end_process(0)

@@ -64,6 +64,17 @@ def sheet(out: Path | str, target: Path | str, subjects: int = 6) -> Path:
     return save(image, Path(target))
 
 
+def portraits(out: Path | str, target: Path | str, people: int = 10, columns: int = 5) -> Path:
+    """Draw one picture of each of up to `people` subjects, `columns` in a row. Returns `target`."""
+    dataset = open_dataset(Path(out))
+    chosen = [dataset[positions[0]] for positions in list(dataset.subjects().values())[:people]]
+    size = SHEET // columns
+    image = Image.new("RGB", (size * columns, size * -(-len(chosen) // columns)), PAPER)
+    for i, shot in enumerate(chosen):
+        put(image, Tile(shot.rgb[0], (i % columns) * size, (i // columns) * size, size, size))
+    return save(image, Path(target))
+
+
 class _Sheet:
     """Lays the sheet out from top to bottom; without an image it only measures."""
 

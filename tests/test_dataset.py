@@ -113,6 +113,8 @@ def test_query(out: Path):
     assert result.column_names == ["subset", "people", "age", "jaw", "seconds"]
     assert [row["people"] for row in result.to_pylist()] == [5, 3]
     assert manifest.query(out, "SELECT count(*) FROM video").rows == [(6,)]
+    lights = "bool_and(len(exposures) = len(environments) AND list_min(exposures) > 0)"
+    assert manifest.query(out, f"SELECT {lights} FROM manifest").rows == [(True,)]
     with pytest.raises(StorageError, match=r"query: .*nonsense"):
         manifest.query(out, "SELECT nonsense FROM manifest")
 
@@ -192,6 +194,12 @@ def test_rerender_comes_out_the_same(out: Path):
         rerender.rerender(out, "s999999_p00")
 
 
+def test_rerender_says_why_it_failed(out: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("TROUBLE", json.dumps({"s000002": "raise"}))
+    with pytest.raises(StorageError, match=r"again failed: RuntimeError: no hair left$"):
+        rerender.rerender(out, "video/s000002_p01")
+
+
 def test_rerender_reports_a_difference(out: Path):
     shot = open_dataset(out)[0]
     other = open_dataset(out)[0]
@@ -200,6 +208,7 @@ def test_rerender_reports_a_difference(out: Path):
     assert not report.identical
     assert report.fields["depth"].largest == pytest.approx(0.5)
     assert report.fields["normal"].share == 0
+    assert "depth                      100.00% differ, at most 0.5" in str(report)
 
 
 def test_export_to_nerfstudio(out: Path, tmp_path: Path):

@@ -51,9 +51,9 @@ def test_demo_is_small_and_mixes_lights() -> None:
 def test_any_subject_in_constant_time() -> None:
     the_plan = plan(load_job(JOBS / "paper.toml"))
     the_plan.subject("multiview", 0)
-    start = time.perf_counter()
+    start = time.process_time()
     last = the_plan.subject("multiview", 49_999)
-    assert time.perf_counter() - start < 0.25
+    assert time.process_time() - start < 0.25
     assert last.key == "s049999"
     with pytest.raises(IndexError, match="multiview has subjects 0 to 49999, not 50000"):
         the_plan.subject("multiview", 50_000)

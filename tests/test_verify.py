@@ -13,6 +13,7 @@ import duckdb
 import numpy as np
 import pytest
 
+from assets_procedural.motion import ARKIT_NAMES
 from synthgen import ledger, manifest
 from synthgen.atomic import sha256
 from synthgen.shards import decode, encode, tar_entry
@@ -95,6 +96,15 @@ def forge_manifest(out: Path, sql: str) -> None:
     )
 
 
+def lids_at_rest(shot) -> None:
+    """What the pose says before the lids follow the gaze."""
+    shot.meta["expression"] |= {n: 0.0 for n in ARKIT_NAMES if n.startswith("eyeLook")}
+
+
+def brighter(shot) -> None:
+    shot.meta["exposures"] = [2 * factor for factor in shot.meta["exposures"]]
+
+
 def other_person(shot) -> None:
     shot.meta["person"]["age_years"] += 3
 
@@ -121,6 +131,14 @@ DAMAGE: dict[str, tuple[Callable[[Path], object], str]] = {
     "other person": (
         lambda o: rewrite(o, change_shot(other_person), seal=True),
         "person in meta.json is not what the job plans",
+    ),
+    "lids that do not follow the gaze": (
+        lambda o: rewrite(o, change_shot(lids_at_rest), seal=True),
+        "expression in meta.json is not what the job plans",
+    ),
+    "other exposures": (
+        lambda o: rewrite(o, change_shot(brighter), seal=True),
+        "the manifest's exposures is",
     ),
     "edited manifest": (
         lambda o: edit_parquet(o / "manifest/multiview.parquet", "* REPLACE (0 AS pose)"),
@@ -204,14 +222,16 @@ def test_damage_is_caught(out: Path, name: str):
 def test_every_region_of_a_shard_is_covered(out: Path):
     path = out / TAR
     rng = np.random.default_rng(0)
-    for position in rng.integers(path.stat().st_size, size=12):
+    for position in rng.integers(path.stat().st_size, size=8):
         flip(path, int(position))
         assert verify(out), f"byte {position}"
         flip(path, int(position))
     assert verify(out) == []
 
 
-def test_large_datasets_are_checked_by_processes(small_dataset: Path, monkeypatch: pytest.MonkeyPatch):
+def test_large_datasets_are_checked_by_processes(
+    small_dataset: Path, monkeypatch: pytest.MonkeyPatch
+):
     monkeypatch.setattr("synthgen.verify.PARALLEL_BYTES", 0)
     assert verify(small_dataset, workers=2) == []
 
