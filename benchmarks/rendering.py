@@ -81,7 +81,7 @@ def measure(index: int, resolution: int) -> dict[str, float]:
     clock("labels", start)
     start = time.process_time()
     args = (subject, subject.shots[0], job, folder, camera, bust, linear, labels)
-    shot = render._shot(*args)
+    shot = render.compose_shot(*args)
     clock("develop", start)
     start = time.process_time()
     encode(shot)

@@ -156,6 +156,7 @@ DAMAGE = {
     "mm off the visible landmarks": _far,
     "not in SO(3)": _mirror,
     "outside the declared bounds": _out_of_bounds,
+    "off its linear light": lambda s: s.rgb.__setitem__(1, s.rgb[1] - 2),
     "black image": lambda s: s.rgb.__setitem__(1, 0),
     "white image": lambda s: s.rgb.__setitem__(1, 255),
     "albedo is": lambda s: setattr(s, "albedo", s.albedo[:-1]),

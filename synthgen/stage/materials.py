@@ -91,7 +91,7 @@ def skin(parameters: Skin) -> bpy.types.Material:
     lines = graph.math(
         "MULTIPLY", graph.stretch(lines, 0.36, 0.60, (0, 1)), graph.scalar("wrinkles")
     )
-    lines = graph.math("MULTIPLY", lines, 0.0011)
+    lines = graph.math("MULTIPLY", lines, 0.0008)
     along = graph.combine("MULTIPLY", place, (1.0, 0.3, 0.12))
     furrows = graph.math("MULTIPLY", graph.noise(along, 620, detail=1), graph.scalar("lips"))
     furrows = graph.math("MULTIPLY", furrows, 0.00045)

@@ -49,7 +49,7 @@ class Graph:
         return self.node("Math", inputs, operation=operation, use_clamp=clamp).outputs[0]
 
     def combine(self, operation: str, a: Socket, b: Socket) -> Any:
-        """Vector arithmetic: ADD, MULTIPLY, SCALE is `stretch`."""
+        """Arithmetic on two vectors, such as ADD or MULTIPLY."""
         return self.node("VectorMath", {0: a, 1: b}, operation=operation).outputs["Vector"]
 
     def stretch(self, value: Socket, low: float, high: float, to: tuple[float, float]) -> Any:

@@ -50,6 +50,7 @@ def render_subject(
     shots = {}
     for pose, taken in by_pose.items():
         with clock("pose"):
+            scene.keep()
             bust = identity.pose(subject.poses[pose])
             pose_figure(figure, bust)
             centre, height = frame_of_head(
@@ -63,12 +64,14 @@ def render_subject(
             linear = _beauty(subject, job, environments, cameras)
         scene.set_mode("labels", job.samples)
         for shot in taken:
+            if shot is taken[-1]:
+                scene.forget_after_next()
             camera = cameras[shot.key]
             with clock("labels"):
                 scene.set_camera(camera)
                 labels = scene.shoot_labels(camera)
             with clock("develop"):
-                shots[shot.key] = _shot(
+                shots[shot.key] = compose_shot(
                     subject, shot, job, environments, camera, bust, linear[shot.key], labels
                 )
     share = {name: seconds / len(subject.shots) for name, seconds in clock.seconds.items()}
@@ -94,7 +97,7 @@ def _beauty(
     return images
 
 
-def _shot(
+def compose_shot(
     subject: SubjectPlan,
     plan: ShotPlan,
     job: JobSpec,
@@ -104,6 +107,10 @@ def _shot(
     linear: list[np.ndarray],
     labels: scene.Labels,
 ) -> Shot:
+    """Develop the pictures of one shot and gather its labels, geometry and metadata.
+
+    `linear` holds an (H, W, 4) beauty render per environment of the subject.
+    """
     # One matte for all lights: coverage does not depend on them, and more samples smooth it.
     alpha = np.clip(np.mean([image[..., 3] for image in linear], axis=0), 0, 1)
     alpha = to_bytes(alpha).astype(np.float32) / 255

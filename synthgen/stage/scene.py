@@ -7,7 +7,6 @@ unit. Both are written to a scratch EXR and come back as arrays, row 0 at the to
 
 from __future__ import annotations
 
-import math
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -56,7 +55,6 @@ def open_stage(resolution: int, samples: int, device: str = "cpu", threads: int 
     render.engine = "CYCLES"
     render.resolution_x = render.resolution_y = resolution
     render.resolution_percentage = 100
-    render.use_persistent_data = True
     render.film_transparent = True
     render.threads_mode = "FIXED" if threads else "AUTO"
     if threads:
@@ -149,6 +147,20 @@ def set_camera(camera: Camera) -> None:
     viewer.data.clip_start, viewer.data.clip_end = 0.01, 100.0
 
 
+def keep() -> None:
+    """Keep Cycles' scene between renders, so that a change of camera or light costs little."""
+    bpy.context.scene.render.use_persistent_data = True
+
+
+def forget_after_next() -> None:
+    """Free Cycles' scene after the next render.
+
+    Moved geometry is then built anew: updating it in place leaves the last bits of the light to
+    chance, and the same job must give the same bytes.
+    """
+    bpy.context.scene.render.use_persistent_data = False
+
+
 def set_mode(mode: Mode, samples: int) -> None:
     """Prepare for beauty renders with `samples` per pixel, or for label renders."""
     scene = bpy.context.scene
@@ -214,8 +226,3 @@ def render_passes() -> dict[str, np.ndarray]:
         planes = [components[c] for c in order if c in components]
         passes[group] = planes[0] if len(planes) == 1 else np.stack(planes, axis=-1)
     return passes
-
-
-def field_of_view(camera: Camera) -> float:
-    """Horizontal field of view in radians."""
-    return 2 * math.atan(camera.width / 2 / float(camera.intrinsics[0, 0]))
