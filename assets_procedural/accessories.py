@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from assets_procedural.glasses import glasses
@@ -9,6 +11,7 @@ from assets_procedural.head import Bust, Identity
 from assets_procedural.headwear import hat
 from assets_procedural.person import Earrings, Person
 from assets_procedural.piece import MeshPiece, Part
+from assets_procedural.regions import mirror
 from assets_procedural.sweep import ellipsoid, rounded, sweep
 
 # Outer side of the left ear lobe, in the numbering of MakeHuman's base mesh.
@@ -75,17 +78,11 @@ def _earrings(earrings: Earrings, identity: Identity) -> list[MeshPiece]:
 
 def _lobe(identity: Identity, side: float) -> np.ndarray:
     """Indices of the lobe's outer vertices on one side."""
-    model = identity.model
-    index = np.searchsorted(model.base_index, _LOBE)
-    if side > 0:
-        return index
-    skin = model.groups["skin"]
-    mirror = model.template[index] * np.array([-1, 1, 1])
-    distance = np.linalg.norm(model.template[skin][:, None] - mirror, axis=2)
-    return skin[distance.argmin(axis=0)]
+    index = identity.model.from_base(_LOBE)
+    return index if side > 0 else mirror(identity.model)[index]
 
 
-def _hanging(points: np.ndarray, lobe: np.ndarray, swings: bool):
+def _hanging(points: np.ndarray, lobe: np.ndarray, swings: bool) -> Callable[[Bust], np.ndarray]:
     def place(bust: Bust) -> np.ndarray:
         rotation = bust.bones["head"][:3, :3]
         if swings:

@@ -6,13 +6,16 @@ vertices (a sparse matrix), so the same cut fits every identity, without a seam 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from scipy import sparse
 
-from assets_procedural.head import vertex_normals
+from assets_procedural.head import HeadModel, vertex_normals
+from assets_procedural.person import Person
+from assets_procedural.subdivision import catmull_clark
 
 # An edge cut closer to its end than this share moves its end onto the cut instead: no slivers.
 _SNAP = 0.3
@@ -99,6 +102,27 @@ def sheet_from_quads(matrix: sparse.csr_matrix, quads: np.ndarray, field: np.nda
     return Sheet(matrix.tocsr(), faces.astype(np.int32), field).keep(np.ones(len(faces), bool))
 
 
+@lru_cache(maxsize=2)
+def average_person(model: HeadModel) -> np.ndarray:
+    """(V, 3) the rest shape on which patterns are drawn."""
+    return model.identity(Person()).rest
+
+
+def cut_from_skin(
+    model: HeadModel, quads: np.ndarray, field: Callable[[np.ndarray], np.ndarray]
+) -> Sheet:
+    """The part of the skin (quads (F, 4), subdivided twice) where `field` is above 0.
+
+    `field` maps positions (N, 3) on the average person to signed distances (N,) in metres.
+    """
+    average = average_person(model)
+    first = catmull_clark(quads, len(average))
+    second = catmull_clark(first.faces, len(first.matrix @ average))
+    matrix = sparse.csr_matrix(second.matrix @ first.matrix)
+    sheet = sheet_from_quads(matrix, second.faces, field(matrix @ average)).cut(0.0)
+    return sheet.keep(sheet.field[sheet.faces].max(axis=1) > 1e-9)
+
+
 def border_loops(faces: np.ndarray) -> list[np.ndarray]:
     """Closed loops of border vertices of (T, 3) triangles, in the direction of their faces."""
     directed = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2)
@@ -132,7 +156,8 @@ def smoothing(faces: np.ndarray, count: int) -> sparse.csr_matrix:
     adjacency = sparse.csr_matrix((np.ones(len(rows)), (rows, columns)), (count, count))
     degree = np.maximum(np.asarray(adjacency.sum(axis=1)).ravel(), 1)
     share = np.where(np.asarray(adjacency.sum(axis=1)).ravel() > 0, 0.5, 0.0)
-    return (sparse.diags(1 - share) + sparse.diags(share / degree) @ adjacency).tocsr()
+    step = sparse.diags(1 - share) + sparse.diags(share / degree) @ adjacency
+    return sparse.csr_matrix(step)
 
 
 def drape(

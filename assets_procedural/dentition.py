@@ -11,6 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from assets_procedural.sweep import tube_faces
+
 RINGS = 11
 AROUND = 20
 _GUM_STEPS = 168
@@ -67,6 +69,7 @@ def jaw(crowns: tuple[Crown, ...], arch: np.ndarray, rng: np.random.Generator) -
     total = sum(c.width for c in crowns)
     scale = (curve.length - 1.0) / total
     points, faces = [], []
+    crown_faces = tube_faces(np.arange(RINGS * AROUND).reshape(RINGS, AROUND))
     seats: list[tuple[float, float, float]] = []
     for side in (1.0, -1.0):
         along = 0.0
@@ -81,7 +84,7 @@ def jaw(crowns: tuple[Crown, ...], arch: np.ndarray, rng: np.random.Generator) -
             x = x + lean * z
             y = y + rng.normal(0, 0.12)
             z = z + rng.normal(0, 0.12)
-            faces.append(_tube_faces(RINGS, AROUND) + RINGS * AROUND * len(points))
+            faces.append(crown_faces + RINGS * AROUND * len(points))
             points.append(curve.place(np.full(len(x), s), x, y, z))
             seats.append((s, width / 2, crown.depth))
     gums, gums_faces = _gums(curve, seats)
@@ -179,11 +182,5 @@ def _gums(curve: _Arch, seats: list[tuple[float, float, float]]) -> tuple[np.nda
     y = -thick / 2 + (y + thick / 2) * ends
     flat = np.broadcast_to(s[:, None], y.shape).ravel()
     points = curve.place(flat, np.zeros_like(flat), y.ravel(), z.ravel())
-    return points, _tube_faces(_GUM_STEPS, _GUM_PROFILE)
-
-
-def _tube_faces(rings: int, around: int) -> np.ndarray:
-    index = np.arange(rings * around).reshape(rings, around)
-    following = np.roll(index, -1, axis=1)
-    quads = np.stack([index[:-1], following[:-1], following[1:], index[1:]], axis=-1)
-    return quads.reshape(-1, 4).astype(np.int32)
+    index = np.arange(_GUM_STEPS * _GUM_PROFILE).reshape(_GUM_STEPS, _GUM_PROFILE)
+    return points, tube_faces(index)

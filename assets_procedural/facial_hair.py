@@ -1,6 +1,6 @@
 """Hair of the face: brows, lashes and beards, on strands that ride on the moving skin.
 
-Regions are drawn in template space (see `strands`) and asked for at every root, not at vertices, so
+Regions are drawn in template space (see `roots`) and asked for at every root, not at vertices, so
 that their edges are as fine as the hairs. Directions are in the rest frame; the subject's left half
 is described and the right one mirrored.
 """
@@ -11,22 +11,13 @@ from collections.abc import Callable
 
 import numpy as np
 
-from assets_procedural.hair import hairline_distance
+from assets_procedural.hairline import hairline_distance
 from assets_procedural.head import Identity
 from assets_procedural.person import Person
 from assets_procedural.piece import Part, StrandPiece
-from assets_procedural.strands import (
-    Roots,
-    SkinBound,
-    clump,
-    colouring,
-    locks,
-    sample_roots,
-    smoothstep,
-    tapered,
-    unit,
-    wander,
-)
+from assets_procedural.roots import Roots, SkinBound, sample_roots
+from assets_procedural.strands import clump, colouring, locks, tapered, wander
+from assets_procedural.vectors import arctan2, smoothstep, unit
 
 BEARD_STYLES = ("none", "stubble", "moustache", "goatee", "full")
 
@@ -100,10 +91,8 @@ def lashes(person: Person, identity: Identity, rng: np.random.Generator) -> list
     all_roots, all_strands = [], []
     for sign, side in ((1, "left"), (-1, "right")):
         eye = model.template[model.groups[f"eye_{side}"]].mean(axis=0)
-        names = [f"lashes_{side}_upper", f"lashes_{side}_lower"]
-        heights = [model.template[model.groups[name], 2].mean() for name in names]
-        # The helper meshes tell themselves which lid they are on.
-        for name, upper in zip(names, np.array(heights) > eye[2], strict=True):
+        for lid in ("lower", "upper"):
+            upper = lid == "upper"
 
             def rim(points: np.ndarray, roots: Roots, eye=eye, sign=sign) -> np.ndarray:
                 away = np.linalg.norm(points - eye, axis=1)
@@ -114,7 +103,9 @@ def lashes(person: Person, identity: Identity, rng: np.random.Generator) -> list
                 return ((away > 0.0163) & (away < 0.0172)) * (0.05 + 0.95 * ends) * (x > 0.0195)
 
             count = int((120 if upper else 55) * (1.1 - 0.25 * male))
-            roots = sample_roots(identity, rim, count, rng, faces=model.faces[name])
+            roots = sample_roots(
+                identity, rim, count, rng, faces=model.faces[f"lashes_{side}_{lid}"]
+            )
             at = roots.of(model.template)
             fan = np.clip((sign * at[:, 0] - 0.031) / 0.012, -1.2, 1.3)
             length = rng.uniform(0.75, 1.05, count) * (0.0088 - 0.0012 * male if upper else 0.0045)
@@ -205,7 +196,7 @@ def _beard_density(person: Person, identity: Identity) -> Callable:
 
     def density(points: np.ndarray, roots: Roots) -> np.ndarray:
         x, y, z = np.abs(points[:, 0]), points[:, 1], points[:, 2]
-        azimuth = np.degrees(np.arctan2(x, -(y + 0.05)))
+        azimuth = np.degrees(arctan2(x, -(y + 0.05)))
         signed = np.radians(azimuth) * np.sign(points[:, 0])
         ragged = sum(
             w * np.sin(signed * (3 + 3 * k) + p)

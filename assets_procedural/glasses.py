@@ -7,10 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
-from assets_procedural.head import Bust, Identity
+from assets_procedural.head import Identity
 from assets_procedural.person import Glasses
-from assets_procedural.piece import MeshPiece, Part
-from assets_procedural.sweep import ellipsoid, joined, rounded, sweep
+from assets_procedural.piece import MeshPiece, Part, rigid
+from assets_procedural.regions import mirror
+from assets_procedural.sweep import ellipsoid, joined, rounded, sweep, tube_faces
 
 _OUTLINE = 96
 # Vertices of MakeHuman's base mesh: the narrowest point of the bridge, and the left ear's root.
@@ -67,7 +68,7 @@ def glasses(wearing: Glasses, identity: Identity) -> list[MeshPiece]:
             Part.GLASSES,
             frame[1],
             "metal" if metal else "plastic",
-            _with_head(frame[0]),
+            rigid("head", frame[0]),
             colour,
         )
     ]
@@ -79,7 +80,7 @@ def glasses(wearing: Glasses, identity: Identity) -> list[MeshPiece]:
                 Part.GLASSES,
                 faces,
                 "lens",
-                _with_head(points),
+                rigid("head", points),
                 {"tint": wearing.tint, "ior": 1.5},
                 hidden_from_labels=True,
             )
@@ -100,7 +101,7 @@ class _Fit:
         temple &= skin[:, 1] < self.middle[1] + 0.035
         self.half_width = float(np.abs(skin[temple, 0]).max())
         self.scale = 1e-3 * float(np.clip(self.half_width / _AVERAGE_HALF_WIDTH, 0.88, 1.2))
-        bridge = rest[np.searchsorted(model.base_index, _BRIDGE)].mean(axis=0)
+        bridge = rest[model.from_base(_BRIDGE)].mean(axis=0)
         eyes = rest[np.concatenate([model.groups["eye_left"], model.groups["eye_right"]])]
         # Clear of the lashes, and of the bridge.
         self.front = min(eyes[:, 1].min() - 0.0115, bridge[1] - 0.0045)
@@ -249,27 +250,13 @@ def _lens(fit: _Fit, shape: _Shape, side: float) -> tuple[np.ndarray, np.ndarray
     # A slight bulge of its own on top of the frame's wrap.
     points = fit.place(x, z, 1.4 * (1 - share**2) + 0 * x)
     index = np.arange(10 * _OUTLINE).reshape(10, _OUTLINE)
-    beside = np.roll(index, -1, axis=1)
-    faces = np.stack([index[:-1], index[1:], beside[1:], beside[:-1]], axis=-1)
-    faces = faces.reshape(-1, 4).astype(np.int32)
+    faces = tube_faces(index, flipped=True)
     return points.reshape(-1, 3), faces if side > 0 else faces[:, ::-1]
 
 
 def _mirrored(identity: Identity, ids: tuple[int, ...], side: float) -> np.ndarray:
     """Mean rest position (3,) of base-mesh vertices of the left half, or of their mirror images."""
-    model = identity.model
-    index = np.searchsorted(model.base_index, ids)
+    index = identity.model.from_base(ids)
     if side < 0:
-        mirror = model.template[index] * np.array([-1, 1, 1])
-        skin = model.groups["skin"]
-        distance = np.linalg.norm(model.template[skin][:, None] - mirror, axis=2)
-        index = skin[distance.argmin(axis=0)]
+        index = mirror(identity.model)[index]
     return identity.rest[index].mean(axis=0)
-
-
-def _with_head(rest: np.ndarray):
-    def place(bust: Bust) -> np.ndarray:
-        motion = bust.bones["head"]
-        return rest @ motion[:3, :3].T + motion[:3, 3]
-
-    return place

@@ -16,6 +16,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from assets_procedural.distill import BONES
@@ -39,7 +40,7 @@ _PHENOTYPE_ANCHORS = {
     "cupsize": ("mincup", "averagecup", "maxcup"),
     "firmness": ("minfirmness", "averagefirmness", "maxfirmness"),
 }
-FORMAT = 1
+FORMAT = 2
 
 
 def cache_folder() -> Path:
@@ -145,14 +146,23 @@ class HeadModel:
 
     def _lip_seal(self, rest: np.ndarray) -> np.ndarray:
         """(V, 3) offsets that let the lips of a neutral face just meet."""
-        upper, lower = (self.vertex(v) for v in _LIPS)
+        upper, lower = self.from_base(_LIPS)
         close = self.arrays["facial/shapes"][_position(self.expression_names, "mouthClose")]
         reach = close[lower, 2] - close[upper, 2]
         return (rest[upper, 2] - rest[lower, 2] - _LIP_GAP) / reach * close
 
-    def vertex(self, base: int) -> int:
-        """The index of a vertex of MakeHuman's base.obj; it must be part of the bust."""
-        return int(np.flatnonzero(self.base_index == base)[0])
+    def from_base(self, ids: ArrayLike) -> np.ndarray:
+        """Vertices with the given ids in MakeHuman's base.obj, any shape.
+
+        Raises:
+            KeyError: an id that the bust does not have.
+        """
+        wanted = np.asarray(ids)
+        position = np.searchsorted(self.base_index, wanted).clip(0, len(self.base_index) - 1)
+        if (self.base_index[position] != wanted).any():
+            missing = np.unique(wanted[self.base_index[position] != wanted]).tolist()
+            raise KeyError(f"the bust has no vertices with base.obj ids {missing}")
+        return position
 
     def _phenotype_weights(self, phenotypes: dict[str, float]) -> np.ndarray:
         """Weight of each macro shape: the product of its components' interpolation weights.
@@ -197,9 +207,7 @@ class Identity:
             shape = shapes[_position(self.model.expression_names, name)]
             value = actions[name]
             if name in _LIDS:
-                upper, lower = (
-                    int(np.flatnonzero(self.model.base_index == v)[0]) for v in _LIDS[name]
-                )
+                upper, lower = self.model.from_base(_LIDS[name])
                 aperture = vertices[upper, 2] - vertices[lower, 2]
                 value *= max(aperture, 0.0) / float(shape[lower, 2] - shape[upper, 2])
             vertices += value * shape
@@ -208,7 +216,7 @@ class Identity:
     def _bones(self, pose: Pose) -> dict[str, np.ndarray]:
         pitch, roll, yaw = pose.head
         turn = Rotation.from_euler("xyz", [pitch, roll, yaw]).as_rotvec()
-        joint = dict(zip(BONES[1:], self.joints, strict=True))
+        joint: dict[str, np.ndarray] = dict(zip(BONES[1:], self.joints, strict=True))
         bones = {"trunk": np.eye(4)}
         parent = bones["trunk"]
         for name, share in _HEAD_SHARES.items():

@@ -6,24 +6,25 @@ As in `wardrobe`, the cut is a level set over the average person at rest; `field
 from __future__ import annotations
 
 import itertools
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 from scipy.spatial import KDTree
 
 from assets_procedural.cloth import (
     Sheet,
+    average_person,
     border_loops,
+    cut_from_skin,
     drape,
     ring_strip,
-    sheet_from_quads,
     smooth_ring,
 )
-from assets_procedural.head import Bust, HeadModel, Identity, vertex_normals
-from assets_procedural.person import Hat, Person
-from assets_procedural.piece import MeshPiece, Part
-from assets_procedural.subdivision import catmull_clark
+from assets_procedural.head import HeadModel, Identity, vertex_normals
+from assets_procedural.person import Hat
+from assets_procedural.piece import MeshPiece, Part, rigid
 from assets_procedural.sweep import ellipsoid
+from assets_procedural.vectors import arctan2
 
 # Height of the hat's edge (m, average person) over depth y: forehead, above the ears, nape.
 _EDGES = {
@@ -70,7 +71,9 @@ def hat(wearing: Hat, identity: Identity) -> list[MeshPiece]:
     }
     material = "knit" if knitted else "cloth"
     uv = _around(points, field)[faces]
-    pieces = [MeshPiece("hat", Part.HEADWEAR, faces, material, _with_head(points), parameters, uv)]
+    pieces = [
+        MeshPiece("hat", Part.HEADWEAR, faces, material, rigid("head", points), parameters, uv)
+    ]
     if not knitted:
         top = points[np.argmax(field)]
         button, button_faces = ellipsoid(top, np.diag([0.006, 0.006, 0.003]))
@@ -81,7 +84,7 @@ def hat(wearing: Hat, identity: Identity) -> list[MeshPiece]:
         ):
             uv = (part[:, :2] - part[:, :2].min(axis=0))[quads]
             pieces.append(
-                MeshPiece(name, Part.HEADWEAR, quads, material, _with_head(part), parameters, uv)
+                MeshPiece(name, Part.HEADWEAR, quads, material, rigid("head", part), parameters, uv)
             )
     return pieces
 
@@ -94,7 +97,7 @@ def above_rim(points: np.ndarray, wearing: Hat, identity: Identity) -> np.ndarra
     model = identity.model
     skin = model.groups["skin"]
     _, nearest = KDTree(identity.rest[skin]).query(points)
-    return _field(_average_person(model)[skin], wearing.style)[nearest] + 0.003
+    return _field(average_person(model)[skin], wearing.style)[nearest] + 0.003
 
 
 def _field(p: np.ndarray, style: str) -> np.ndarray:
@@ -103,23 +106,14 @@ def _field(p: np.ndarray, style: str) -> np.ndarray:
     return (p[:, 2] - np.interp(p[:, 1], depth, height)) / np.hypot(1, slope)
 
 
-@lru_cache(maxsize=2)
-def _average_person(model: HeadModel) -> np.ndarray:
-    return model.identity(Person()).rest
-
-
 @lru_cache(maxsize=4)
 def _pattern(model: HeadModel, style: str) -> Sheet:
-    average = _average_person(model)
+    average = average_person(model)
     quads = model.faces["skin"]
     # The ears stay outside, also where they reach above the edge.
     ears = model.masks["ears"][quads].max(axis=1) > 0.5
     near = (_field(average, style)[quads].max(axis=1) > -0.02) & ~ears
-    first = catmull_clark(quads[near], len(average))
-    second = catmull_clark(first.faces, first.matrix.shape[0])
-    matrix = second.matrix @ first.matrix
-    sheet = sheet_from_quads(matrix, second.faces, _field(matrix @ average, style)).cut(0.0)
-    sheet = sheet.keep(sheet.field[sheet.faces].max(axis=1) > 1e-9)
+    sheet = cut_from_skin(model, quads[near], partial(_field, style=style))
     if style == "beanie":
         sheet = sheet.cut(_BRIM - 0.002).cut(_BRIM + 0.002)
     return sheet
@@ -145,7 +139,7 @@ def _hemmed(
 def _visor(edge: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """A curved peak that starts along the front of the cap's edge loop (N, 3)."""
     middle = edge.mean(axis=0)
-    angle = np.arctan2(edge[:, 0] - middle[0], -(edge[:, 1] - middle[1]))
+    angle = arctan2(edge[:, 0] - middle[0], -(edge[:, 1] - middle[1]))
     order = np.argsort(angle)
     reach = np.radians(62.0)
     sweep = np.linspace(-reach, reach, 41)
@@ -180,13 +174,5 @@ def _visor(edge: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def _around(points: np.ndarray, field: np.ndarray) -> np.ndarray:
     middle = points.mean(axis=0)
-    angle = np.arctan2(points[:, 0] - middle[0], -(points[:, 1] - middle[1]))
+    angle = arctan2(points[:, 0] - middle[0], -(points[:, 1] - middle[1]))
     return np.stack([(angle + np.pi) * 0.09, field + 0.05], axis=1)
-
-
-def _with_head(rest: np.ndarray):
-    def place(bust: Bust) -> np.ndarray:
-        motion = bust.bones["head"]
-        return rest @ motion[:3, :3].T + motion[:3, 3]
-
-    return place

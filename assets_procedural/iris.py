@@ -6,6 +6,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from assets_procedural.person import Eyes
+from assets_procedural.vectors import arctan2, smoothstep
 
 SIZE = 512
 # The disc of the texture reaches this angle from the optic axis (radians); beyond, it clamps.
@@ -30,7 +31,7 @@ def eye_texture(
     axis = (np.arange(SIZE) + 0.5) / SIZE * 2 - 1
     x, z = np.meshgrid(axis, -axis)
     theta = _RIM * np.minimum(np.hypot(x, z), 1.2) ** (1 / _POWER)
-    phi = np.arctan2(z, x)
+    phi = arctan2(z, x)
     # Distance from the optic axis over the iris's radius, as seen from the front.
     radius = np.sin(np.minimum(theta, np.pi / 2)) / np.sin(limbus_angle)
     radius = np.where(theta > np.pi / 2, 1 / np.sin(limbus_angle), radius)
@@ -40,7 +41,7 @@ def eye_texture(
     wobble = 0.012 * _angular_noise(rng, phi, 6.0)
     # The limbus is a soft transition: wider where the sclera overlaps the iris (above and below).
     softness = 0.03 + 0.035 * eyes.limbus * 0.5 + 0.015 * np.abs(np.sin(phi))
-    edge = _smoothstep((radius + wobble - 1.0) / softness + 0.5)[..., None]
+    edge = smoothstep(0, 1, (radius + wobble - 1.0) / softness + 0.5)[..., None]
     picture = iris * (1 - edge) + sclera * edge
     halo = eyes.limbus * 0.22 * np.exp(-(((radius - 1.04) / 0.06) ** 2))
     picture *= 1 - halo[..., None] * np.array([0.6, 0.7, 0.6])
@@ -59,7 +60,7 @@ def _iris(
     fibre = np.clip(0.5 + 0.27 * coarse + 0.22 * fine, 0, 1.3)
     collarette = 0.32 + 0.05 * _angular_noise(rng, phi, 14.0)
     ridge = np.exp(-(((share - collarette) / 0.09) ** 2))
-    pupillary = _smoothstep((collarette - share) / 0.12 + 0.5)
+    pupillary = smoothstep(0, 1, (collarette - share) / 0.12 + 0.5)
     # Little crypts: dark gaps just outside the collarette.
     crypts = np.clip(_streaks(rng, phi, 0.35 * share, 22.0) - 0.9, 0, 1)
     crypts = crypts * np.exp(-(((share - 0.5) / 0.14) ** 2))
@@ -72,10 +73,10 @@ def _iris(
     brown = np.array([0.20, 0.105, 0.04]) * (0.4 + lightness * 2.5)
     inner = pupillary * np.clip(0.25 + 0.5 * fibre, 0, 1) * min(0.2 + 2.0 * lightness, 0.65)
     colour = colour * (1 - inner[..., None]) + brown * value[..., None] * inner[..., None]
-    ring = eyes.limbus * _smoothstep((share - 0.72) / 0.28) ** 1.5
+    ring = eyes.limbus * smoothstep(0, 1, (share - 0.72) / 0.28) ** 1.5
     colour *= 1 - 0.85 * ring[..., None]
     colour *= (1 - 0.55 * np.exp(-((share / 0.05) ** 2)))[..., None]
-    hole = _smoothstep((radius - pupil * 0.98) / (0.04 * pupil + 0.012) + 0.5)
+    hole = smoothstep(0, 1, (radius - pupil * 0.98) / (0.04 * pupil + 0.012) + 0.5)
     return np.clip(colour, 0, 0.8) * hole[..., None] + 0.002
 
 
@@ -156,8 +157,3 @@ def _streaks(
     for k, level in enumerate(levels):
         result += level * np.clip(1 - np.abs(position - k), 0, 1)
     return result
-
-
-def _smoothstep(t: np.ndarray) -> np.ndarray:
-    t = np.clip(t, 0, 1)
-    return t * t * (3 - 2 * t)

@@ -15,7 +15,7 @@ from scipy import sparse
 
 from assets_procedural.eyes import eyeball
 from assets_procedural.head import Bust, HeadModel
-from assets_procedural.regions import from_base, mirror
+from assets_procedural.regions import mirror
 from assets_procedural.subdivision import catmull_clark
 
 COUNT = 70
@@ -67,7 +67,7 @@ _LEFT_HALF: dict[int, int | tuple[int, int]] = {
     63: 7227,
     64: 7191,
     65: (7264, 7265),
-    66: 523,
+    66: 493,
 }
 
 _MIRRORED_RUNS = (
@@ -109,7 +109,7 @@ def skin_weights(model: HeadModel) -> sparse.csr_matrix:
     opposite = mirror(model)
     weights = np.zeros((68, len(model.template)))
     for landmark, place in _LEFT_HALF.items():
-        ids = from_base(model, np.atleast_1d(place))
+        ids = model.from_base(np.atleast_1d(place))
         weights[landmark] = surface[ids].toarray().mean(axis=0)
         weights[FLIP[landmark]] = surface[opposite[ids]].toarray().mean(axis=0)
     return sparse.csr_matrix(weights)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 
 import numpy as np
@@ -10,8 +11,9 @@ from scipy.spatial.transform import Rotation
 from assets_procedural.dentition import LOWER, UPPER, Jaw, jaw
 from assets_procedural.head import Bust, HeadModel, Identity
 from assets_procedural.person import Person
-from assets_procedural.piece import MeshPiece, Part
+from assets_procedural.piece import MeshPiece, Part, rigid
 from assets_procedural.subdivision import Subdivision, catmull_clark
+from assets_procedural.vectors import moved
 
 # Half of the upper arch (mm): x from the midline, y behind the incisors; the lower one lies inside.
 _UPPER_ARCH = np.array(
@@ -40,16 +42,16 @@ def mouth(person: Person, identity: Identity) -> list[MeshPiece]:
     tongue = np.array([0.50, 0.17, 0.15]) * (1 - 0.12 * melanin)
     frame = _Frame(identity)
     pieces = []
-    for name, shapes, arch, place in (
-        ("upper", UPPER, _UPPER_ARCH, _with_head),
-        ("lower", LOWER, _LOWER_ARCH, _with_jaw),
-    ):
+    for name, shapes, arch in (("upper", UPPER, _UPPER_ARCH), ("lower", LOWER, _LOWER_ARCH)):
         dentition: Jaw = jaw(shapes, arch, rng)
         for kind, points, faces, colour in (
             ("teeth", dentition.teeth, dentition.teeth_faces, shade),
             ("gums", dentition.gums, dentition.gums_faces, gum),
         ):
-            rest = frame.upper(points) if name == "upper" else frame.lower(points)
+            if name == "upper":
+                place = rigid("head", frame.upper(points))
+            else:
+                place = _with_jaw(frame.lower(points))
             # The lower jaw is a mirror image, which turns its faces inside out.
             pieces.append(
                 MeshPiece(
@@ -57,15 +59,14 @@ def mouth(person: Person, identity: Identity) -> list[MeshPiece]:
                     Part.MOUTH_INTERIOR,
                     faces if name == "upper" else faces[:, ::-1],
                     kind,
-                    place(rest),
+                    place,
                     {"colour": tuple(float(c) for c in np.clip(colour, 0, 0.9))},
                 )
             )
     subdivision, used = _tongue(identity.model)
 
     def place_tongue(bust: Bust) -> np.ndarray:
-        points = subdivision.matrix @ bust.unposed[used]
-        return _by_head(bust, points)
+        return moved(subdivision.matrix @ bust.unposed[used], bust.bones["head"])
 
     pieces.append(
         MeshPiece(
@@ -90,7 +91,7 @@ def jaw_motion(bust: Bust) -> np.ndarray:
     group = model.groups["teeth_lower"]
     before, after = rest[group], bust.unposed[group]
     start, end = before.mean(axis=0), after.mean(axis=0)
-    rotation, _ = Rotation.align_vectors(after - end, before - start)
+    rotation = Rotation.align_vectors(after - end, before - start)[0]
     motion = np.eye(4)
     motion[:3, :3] = rotation.as_matrix()
     motion[:3, 3] = end - motion[:3, :3] @ start
@@ -108,9 +109,9 @@ class _Frame:
         self.tilt = float(np.arctan(np.polyfit(teeth[:, 1], teeth[:, 2], 1)[0]))
         scale = np.ptp(teeth[:, :2], axis=0) / np.ptp(reference[:, :2], axis=0)
         self.scale = 1e-3 * np.append(scale, scale.mean())
-        self.seam = rest[_base(model, _SEAM)].mean(axis=0)
-        self.wall = rest[_base(model, _UPPER_WALL)][:, 1].max()
-        self.lower_wall = rest[_base(model, _LOWER_WALL)][:, 1].max()
+        self.seam = rest[model.from_base(_SEAM)].mean(axis=0)
+        self.wall = rest[model.from_base(_UPPER_WALL)][:, 1].max()
+        self.lower_wall = rest[model.from_base(_LOWER_WALL)][:, 1].max()
 
     def upper(self, points: np.ndarray) -> np.ndarray:
         """Millimetres of the arch → rest space; z runs down from the gums."""
@@ -130,29 +131,14 @@ class _Frame:
         return Rotation.from_euler("x", self.tilt).apply(points)
 
 
-def _base(model: HeadModel, ids: tuple[int, ...]) -> np.ndarray:
-    """Indices of vertices given by their numbers in MakeHuman's base mesh."""
-    return np.searchsorted(model.base_index, ids)
-
-
 @lru_cache(maxsize=2)
 def _tongue(model: HeadModel) -> tuple[Subdivision, np.ndarray]:
     used, local = np.unique(model.faces["tongue"], return_inverse=True)
     return catmull_clark(local.reshape(-1, 4), len(used)), used
 
 
-def _with_head(rest: np.ndarray):
-    return lambda bust: _by_head(bust, rest)
-
-
-def _with_jaw(rest: np.ndarray):
+def _with_jaw(rest: np.ndarray) -> Callable[[Bust], np.ndarray]:
     def place(bust: Bust) -> np.ndarray:
-        motion = jaw_motion(bust)
-        return _by_head(bust, rest @ motion[:3, :3].T + motion[:3, 3])
+        return moved(moved(rest, jaw_motion(bust)), bust.bones["head"])
 
     return place
-
-
-def _by_head(bust: Bust, points: np.ndarray) -> np.ndarray:
-    motion = bust.bones["head"]
-    return points @ motion[:3, :3].T + motion[:3, 3]

@@ -25,6 +25,8 @@ from typing import Any
 
 import numpy as np
 
+from assets_procedural.vectors import arctan2
+
 HALF_MAX = 65504.0
 
 
@@ -35,8 +37,8 @@ class PanoramaError(ValueError):
 def direction_to_uv(direction: np.ndarray) -> np.ndarray:
     """Directions (..., 3), any length above 0, to (..., 2) (u, v) in [0, 1]."""
     x, y, z = np.moveaxis(np.asarray(direction, dtype=np.float64), -1, 0)
-    u = 0.5 - np.arctan2(y, x) / (2.0 * np.pi)
-    v = np.arctan2(np.hypot(x, y), z) / np.pi
+    u = 0.5 - arctan2(y, x) / (2.0 * np.pi)
+    v = arctan2(np.hypot(x, y), z) / np.pi
     return np.stack([u, v], axis=-1)
 
 

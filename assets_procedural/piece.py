@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from assets_procedural.vectors import moved
+
 if TYPE_CHECKING:
     from assets_procedural.head import Bust
 
@@ -49,9 +51,9 @@ class Part(IntEnum):
 class MeshPiece:
     """A surface: V vertices, F faces of k = 3 or 4 corners.
 
-    `part` is one label for all faces or an (F,) array. `uv` is (F, k, 2) in [0, 1]. `vertex` holds
-    per-vertex material inputs, (V,) or (V, 3). `hidden_from_labels` marks thin transparent
-    surfaces (cornea, lenses) that the labels look through.
+    `part` is one label for all faces or an (F,) array. `uv` is (F, k, 2), in [0, 1] or, on cloth,
+    in metres. `vertex` holds per-vertex material inputs, (V,) or (V, 3). `hidden_from_labels` marks
+    thin transparent surfaces (cornea, lenses) that the labels look through.
     """
 
     name: str
@@ -78,3 +80,12 @@ class StrandPiece:
 
 
 Piece = MeshPiece | StrandPiece
+
+
+def rigid(bone: str, rest: np.ndarray) -> Callable[[Bust], np.ndarray]:
+    """A `place` that moves rest positions (V, 3) with one bone of the bust."""
+
+    def place(bust: Bust) -> np.ndarray:
+        return moved(rest, bust.bones[bone])
+
+    return place

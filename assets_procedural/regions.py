@@ -14,6 +14,7 @@ from scipy.spatial import KDTree
 
 from assets_procedural.head import HeadModel
 from assets_procedural.piece import Part
+from assets_procedural.vectors import arctan2, smoothstep
 
 # An edge on the rear border of each eyelid margin, base.obj numbering: the skin turns inwards here
 # and everything behind its loop lies in the socket.
@@ -109,20 +110,26 @@ def _zones(model: HeadModel, ears: np.ndarray, lips: np.ndarray) -> dict[str, np
     """Fields from positions in the template alone."""
     x, y, z = np.abs(model.template[:, 0]), model.template[:, 1], model.template[:, 2]
     below_jaw = np.interp(y, *_JAW.T) - z
-    neck = np.maximum(_ramp(below_jaw, -0.003, 0.003), _ramp(z, 0.600, 0.590)) * (1 - ears)
-    nose = _ramp(_inside_distance(_NOSE, x, z), -0.0015, 0.0015) * _ramp(y, -0.118, -0.126)
+    shoulders = smoothstep(0.600, 0.590, z)
+    neck = np.maximum(smoothstep(-0.003, 0.003, below_jaw), shoulders) * (1 - ears)
+    nose = smoothstep(-0.0015, 0.0015, _inside_distance(_NOSE, x, z))
+    nose *= smoothstep(-0.118, -0.126, y)
 
-    azimuth = np.degrees(np.arctan2(x, _CROWN_DEPTH - y))
+    azimuth = np.degrees(arctan2(x, _CROWN_DEPTH - y))
     above_hairline = z - np.interp(azimuth, *_HAIRLINE.T)
-    scalp = _ramp(above_hairline, -0.004, 0.006) * (1 - ears)
-    forehead = _ramp(z, 0.750, 0.760) * (1 - scalp) * _ramp(y, -0.095, -0.115)
+    scalp = smoothstep(-0.004, 0.006, above_hairline) * (1 - ears)
+    forehead = smoothstep(0.750, 0.760, z) * (1 - scalp) * smoothstep(-0.095, -0.115, y)
 
     below_beard = np.interp(y, *_BEARD_TOP.T) - z
-    beard = _ramp(below_beard, -0.004, 0.006) * _ramp(y, -0.066, -0.074) * _ramp(z, 0.590, 0.606)
+    beard = (
+        smoothstep(-0.004, 0.006, below_beard)
+        * smoothstep(-0.066, -0.074, y)
+        * smoothstep(0.590, 0.606, z)
+    )
     beard *= (1 - np.clip(1.6 * lips, 0, 1)) * (1 - ears) * (1 - nose)
 
     chin = _blob(model, (0.0, -0.148, 0.630), (0.021, 0.022, 0.017))
-    ridge = nose * _ramp(x, 0.017, 0.008)
+    ridge = nose * smoothstep(0.017, 0.008, x)
     return {
         "nose": nose,
         "neck": neck,
@@ -133,27 +140,13 @@ def _zones(model: HeadModel, ears: np.ndarray, lips: np.ndarray) -> dict[str, np
         "cheeks": _blob(model, (0.0430, -0.130, 0.6960), (0.028, 0.035, 0.025)),
         "eyelids": _blob(model, (0.0325, -0.139, 0.7305), (0.027, 0.030, 0.0150)),
         "under_eye": _blob(model, (0.0310, -0.141, 0.7165), (0.018, 0.025, 0.0075)),
-        "t_zone": np.maximum.reduce([forehead * _ramp(x, 0.045, 0.020), ridge, 0.7 * chin]),
+        "t_zone": np.maximum.reduce([forehead * smoothstep(0.045, 0.020, x), ridge, 0.7 * chin]),
     }
 
 
 def lid_loop(model: HeadModel, side: str) -> np.ndarray:
     """(28,) vertices of the rear border of the eyelid margin, where it touches the eyeball."""
-    return edge_loop(model, *from_base(model, _LID_REAR_EDGES[side]))
-
-
-def from_base(model: HeadModel, ids: object) -> np.ndarray:
-    """Vertices with the given ids in base.obj, any shape.
-
-    Raises:
-        KeyError: an id that the bust does not have.
-    """
-    wanted = np.asarray(ids)
-    position = np.searchsorted(model.base_index, wanted).clip(0, len(model.base_index) - 1)
-    if (model.base_index[position] != wanted).any():
-        missing = np.unique(wanted[model.base_index[position] != wanted]).tolist()
-        raise KeyError(f"the bust has no vertices with base.obj ids {missing}")
-    return position
+    return edge_loop(model, *model.from_base(_LID_REAR_EDGES[side]))
 
 
 @lru_cache(maxsize=4)
@@ -230,17 +223,11 @@ def _without_spikes(label: np.ndarray, quads: np.ndarray) -> np.ndarray:
     return np.where(three, across[:, 1], label).astype(np.uint8)
 
 
-def _ramp(value: np.ndarray, zero: float, one: float) -> np.ndarray:
-    """Smoothstep from 0 at `zero` to 1 at `one` (either order)."""
-    t = np.clip((value - zero) / (one - zero), 0, 1)
-    return t * t * (3 - 2 * t)
-
-
 def _blob(model: HeadModel, centre: tuple, radii: tuple) -> np.ndarray:
     """A soft ellipsoid on both sides of the face: 1 inside, 0 from the radii outwards."""
     mirrored = np.abs(model.template[:, 0])
     position = np.stack([mirrored, model.template[:, 1], model.template[:, 2]], axis=1)
-    return _ramp(np.linalg.norm((position - centre) / radii, axis=1), 1.0, 0.35)
+    return smoothstep(1.0, 0.35, np.linalg.norm((position - centre) / radii, axis=1))
 
 
 def _inside_distance(outline: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from assets_procedural.hair import hairline_distance
+from assets_procedural.hairline import hairline_distance
 from assets_procedural.head import HeadModel
 from assets_procedural.person import Person
 from assets_procedural.regions import fields
@@ -60,8 +60,8 @@ def skin_fields(person: Person, model: HeadModel) -> SkinFields:
     blood = 0.32 + 0.58 * skin.haemoglobin
     haemoglobin = blood * (
         1
-        + 0.75 * flush[0] * zone["cheeks"]
-        + 0.6 * flush[1] * zone["nose"]
+        + 0.5 * flush[0] * zone["cheeks"]
+        + 0.45 * flush[1] * zone["nose"]
         + 0.9 * flush[2] * zone["ears"]
         + 0.35 * flush[3] * zone["chin"]
         + 0.45 * zone["eyelids"]

@@ -15,6 +15,7 @@ from pydantic import Field
 
 from assets_procedural.panorama import texel_directions, texel_solid_angles
 from assets_procedural.settings import Settings
+from assets_procedural.vectors import arctan2
 
 SUN_IRRADIANCE = 20.0
 _EARTH, _TOP = 6360.0, 6420.0  # km
@@ -190,7 +191,7 @@ def _clear_sky(direction: np.ndarray, sun_azimuth: float, table: np.ndarray) -> 
     from scipy import ndimage  # slow to import, and a plan needs parameters alone
 
     elevation = np.arcsin(np.clip(direction[..., 2], 0.0, 1.0))
-    azimuth = np.arctan2(direction[..., 1], direction[..., 0]) - sun_azimuth
+    azimuth = arctan2(direction[..., 1], direction[..., 0]) - sun_azimuth
     azimuth = np.abs((azimuth + np.pi) % (2.0 * np.pi) - np.pi)
     where = np.stack(
         [
@@ -290,7 +291,7 @@ def _add_land(
     below = np.clip(0.5 - z / texel, 0.0, 1.0)[..., None]
     radiance = radiance * (1.0 - below) + ground * below
     # Outline by azimuth on a circle through the noise tile, so that it closes.
-    azimuth = np.arctan2(direction[0, :, 1], direction[0, :, 0])
+    azimuth = arctan2(direction[0, :, 1], direction[0, :, 0])
     outline = noise(0.5 + 0.35 * np.cos(azimuth), 0.5 + 0.35 * np.sin(azimuth))
     top = np.radians(35.0) * p.skyline * np.clip(0.45 + 0.3 * outline, 0.0, 1.3)
     elevation = np.arcsin(np.clip(z, -1.0, 1.0))

@@ -12,6 +12,7 @@ from pydantic import Field
 
 from assets_procedural.panorama import shrink, texel_directions, texel_solid_angles
 from assets_procedural.settings import Settings
+from assets_procedural.vectors import arctan2
 
 Colour = tuple[float, float, float]
 
@@ -143,7 +144,7 @@ def _step(value: np.ndarray, width: float) -> np.ndarray:
 
 def _add_backdrop(radiance: np.ndarray, direction: np.ndarray, p: StudioParameters) -> np.ndarray:
     # A roll of paper 220 degrees wide, so that cameras to either side still see it.
-    azimuth = np.degrees(np.arctan2(direction[..., 0], direction[..., 1]))
+    azimuth = np.degrees(arctan2(direction[..., 0], direction[..., 1]))
     elevation = np.degrees(np.arcsin(np.clip(direction[..., 2], -1.0, 1.0)))
     inside = _step(110.0 - np.abs(azimuth), 12.0) * _step(52.0 - elevation, 14.0)
     inside *= _step(elevation + 70.0, 40.0)

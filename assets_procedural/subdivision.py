@@ -99,7 +99,7 @@ def catmull_clark(faces: np.ndarray, vertices: int) -> Subdivision:
     e, f = vertices + edge_of, vertices + count + np.arange(quads)
     children = [np.stack([faces[:, k], e[:, k], f, e[:, (k + 3) % 4]], axis=1) for k in range(4)]
     refined = np.stack(children, axis=1).reshape(-1, 4).astype(np.int32)
-    matrix = sparse.vstack([points, edge_points, face_points]).tocsr()
+    matrix = sparse.csr_matrix(sparse.vstack([points, edge_points, face_points]))
     return Subdivision(matrix, refined)
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from assets_procedural.vectors import unit
+
 
 def sweep(
     path: np.ndarray, side: np.ndarray, profile: np.ndarray, closed: bool
@@ -20,9 +22,9 @@ def sweep(
         tangent = np.roll(path, -1, axis=0) - np.roll(path, 1, axis=0)
     else:
         tangent = np.gradient(path, axis=0)
-    tangent = _unit(tangent)
+    tangent = unit(tangent)
     side = np.broadcast_to(side, path.shape)
-    first = _unit(side - np.einsum("ni,ni->n", side, tangent)[:, None] * tangent)
+    first = unit(side - np.einsum("ni,ni->n", side, tangent)[:, None] * tangent)
     second = np.cross(tangent, first)
     if not closed:
         # Two more rings at each end, drawn together.
@@ -37,9 +39,7 @@ def sweep(
     index = np.arange(len(rings) * count).reshape(-1, count)
     if closed:
         index = np.concatenate([index, index[:1]])
-    beside = np.roll(index, -1, axis=1)
-    faces = np.stack([index[:-1], beside[:-1], beside[1:], index[1:]], axis=-1)
-    return rings.reshape(-1, 3), faces.reshape(-1, 4).astype(np.int32)
+    return rings.reshape(-1, 3), tube_faces(index)
 
 
 def rounded(width: float, depth: float, power: float = 4.0, points: int = 16) -> np.ndarray:
@@ -68,9 +68,15 @@ def ellipsoid(centre: np.ndarray, axes: np.ndarray) -> tuple[np.ndarray, np.ndar
         axis=-1,
     )
     index = np.arange(12 * 18).reshape(12, 18)
+    return centre + sphere.reshape(-1, 3) @ axes, tube_faces(index, flipped=True)
+
+
+def tube_faces(index: np.ndarray, flipped: bool = False) -> np.ndarray:
+    """Quads between rings of vertices, each ring closed: `index` (rings, around) to (F, 4)."""
     beside = np.roll(index, -1, axis=1)
-    faces = np.stack([index[:-1], index[1:], beside[1:], beside[:-1]], axis=-1)
-    return centre + sphere.reshape(-1, 3) @ axes, faces.reshape(-1, 4).astype(np.int32)
+    quads = np.stack([index[:-1], beside[:-1], beside[1:], index[1:]], axis=-1)
+    quads = quads.reshape(-1, 4).astype(np.int32)
+    return quads[:, [0, 3, 2, 1]] if flipped else quads
 
 
 def joined(parts: list[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
@@ -78,7 +84,3 @@ def joined(parts: list[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.n
     starts = np.cumsum([0] + [len(v) for v, _ in parts])
     faces = [f + s for (_, f), s in zip(parts, starts, strict=False)]
     return np.concatenate([v for v, _ in parts]), np.concatenate(faces).astype(np.int32)
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)

@@ -8,22 +8,23 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 
 from assets_procedural.cloth import (
     Sheet,
+    average_person,
     border_loops,
+    cut_from_skin,
     drape,
     ring_strip,
-    sheet_from_quads,
     smooth_ring,
 )
 from assets_procedural.head import Bust, HeadModel, Identity, vertex_normals
 from assets_procedural.person import Person
 from assets_procedural.piece import MeshPiece, Part
-from assets_procedural.subdivision import catmull_clark
+from assets_procedural.vectors import arctan2
 
 # Skin farther than this inside the garment (metres) can never be seen.
 _HIDDEN_MARGIN = 0.022
@@ -84,13 +85,8 @@ def wardrobe(person: Person, identity: Identity) -> list[MeshPiece]:
 def covered_skin(person: Person, identity: Identity) -> np.ndarray:
     """(F,) mask over `model.faces["skin"]`: quads wholly under the top, safe to leave out."""
     model = identity.model
-    field = _field(_average_person(model), person.top.style)
+    field = _field(average_person(model), person.top.style)
     return (field[model.faces["skin"]] > _HIDDEN_MARGIN).all(axis=1)
-
-
-@lru_cache(maxsize=2)
-def _average_person(model: HeadModel) -> np.ndarray:
-    return model.identity(Person()).rest
 
 
 def _field(p: np.ndarray, name: str) -> np.ndarray:
@@ -137,15 +133,10 @@ class _Pattern:
 @lru_cache(maxsize=8)
 def _pattern(model: HeadModel, name: str) -> _Pattern:
     style = STYLES[name]
-    average = _average_person(model)
+    average = average_person(model)
     quads = model.faces["skin"]
     near = _field(average, name)[quads].max(axis=1) > -0.03
-    first = catmull_clark(quads[near], len(average))
-    second = catmull_clark(first.faces, first.matrix.shape[0])
-    matrix = second.matrix @ first.matrix
-    sheet = sheet_from_quads(matrix, second.faces, _field(matrix @ average, name))
-    sheet = sheet.cut(0.0)
-    sheet = sheet.keep(sheet.field[sheet.faces].max(axis=1) > 1e-9)
+    sheet = cut_from_skin(model, quads[near], partial(_field, name=name))
     sheet = sheet.cut(style.band - 0.0005).cut(style.band + 0.0009)
     band = sheet.field[sheet.faces].mean(axis=1) < style.band - 0.0005
     loops = [loop for loop in border_loops(sheet.faces) if len(loop) > 8]
@@ -165,7 +156,7 @@ class _Garment:
         self._texture: list[np.ndarray] = []
         self._count = 0
         skin = sheet.matrix @ identity.rest
-        average = sheet.matrix @ _average_person(model)
+        average = sheet.matrix @ average_person(model)
         field = sheet.field
         inside = np.clip(field / 0.05, 0, 1)
         least = 0.0022 + (0.6 * style.gap) * inside
@@ -278,14 +269,14 @@ class _Garment:
         """Texture of the band: metres around the neck and across the band."""
         centre = self.rest[pattern.necklines[0]].mean(axis=0)
         offset = self.rest - centre
-        angle = np.arctan2(offset[:, 0], -offset[:, 1])
+        angle = arctan2(offset[:, 0], -offset[:, 1])
         radius = np.hypot(offset[pattern.necklines[0], 0], offset[pattern.necklines[0], 1]).mean()
         return np.stack([(angle + np.pi) * radius, field[: len(angle)] + 0.1], axis=1)
 
 
 def _unrolled(average: np.ndarray) -> np.ndarray:
     """Metre-like texture coordinates: across the body, and around it from front to back."""
-    angle = np.arctan2(average[:, 2] - 0.38, -(average[:, 1] + 0.02))
+    angle = arctan2(average[:, 2] - 0.38, -(average[:, 1] + 0.02))
     return np.stack([average[:, 0] + 0.5, 0.13 * angle + 0.5], axis=1)
 
 

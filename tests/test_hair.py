@@ -6,11 +6,15 @@ import numpy as np
 import pytest
 
 from assets_procedural import facial_hair, hair
+from assets_procedural.draping import Surface
+from assets_procedural.hair_styles import STYLES
+from assets_procedural.hairline import hairline_distance, recession
 from assets_procedural.head import HeadModel, Identity
 from assets_procedural.motion import Pose
 from assets_procedural.person import Beard, Hair, Person
 from assets_procedural.piece import Part, StrandPiece
-from assets_procedural.strands import Surface, sample_roots, smoothstep
+from assets_procedural.roots import sample_roots
+from assets_procedural.vectors import smoothstep
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +28,7 @@ def grow(identity: Identity, style: str, **changes: object) -> StrandPiece:
     return piece
 
 
-@pytest.mark.parametrize("style", [name for name, style in hair.STYLES.items() if style])
+@pytest.mark.parametrize("style", [name for name, style in STYLES.items() if style])
 def test_every_style_grows_strands_on_the_scalp(identity, style):
     piece = grow(identity, style)
     points = piece.place(identity.neutral)
@@ -92,11 +96,11 @@ def test_long_hair_drapes_on_a_turned_bust(identity, yaw):
 
 def test_older_men_lose_the_front_of_their_hair():
     ages = [
-        hair.recession(Person(age_years=age, phenotypes={"gender": 0.0}, hair=Hair(seed=5)))
+        recession(Person(age_years=age, phenotypes={"gender": 0.0}, hair=Hair(seed=5)))
         for age in (20, 50, 80)
     ]
     assert ages[0] == 0 and ages[0] < ages[1] < ages[2] <= 1
-    assert hair.recession(Person(age_years=80, phenotypes={"gender": 1.0})) == 0
+    assert recession(Person(age_years=80, phenotypes={"gender": 1.0})) == 0
 
 
 def test_the_face_lies_outside_the_hairline(identity):
@@ -104,7 +108,7 @@ def test_the_face_lies_outside_the_hairline(identity):
     skin = model.groups["skin"]
     nose = skin[np.argmin(model.template[skin, 1])]
     crown = skin[np.argmax(model.template[skin, 2])]
-    inside = hair.hairline_distance(model.template[[nose, crown]], Person())
+    inside = hairline_distance(model.template[[nose, crown]], Person())
     assert inside[0] < 0 < inside[1]
 
 

@@ -63,10 +63,13 @@ def _seen(points: np.ndarray, triangles: np.ndarray, direction: np.ndarray) -> n
     right /= np.linalg.norm(right)
     basis = np.stack([right, np.cross(right, direction), direction])
     p, t = points @ basis.T, triangles @ basis.T
-    a, b, c = (t[:, None, k] for k in range(3))
+    low, high = t[..., :2].min(axis=1), t[..., :2].max(axis=1)
     free = np.ones(len(p), bool)
-    for part in np.array_split(np.arange(len(p)), max(len(p) // 400, 1)):
+    for part in np.array_split(np.argsort(p[:, 0]), max(len(p) // 50, 1)):
         q = p[part][None]
+        # Only triangles over these neighbours can hide one of them.
+        over = (high >= q[0, :, :2].min(axis=0)) & (low <= q[0, :, :2].max(axis=0))
+        a, b, c = (t[over.all(axis=1)][:, None, k] for k in range(3))
         sides = [
             (v[..., 0] - u[..., 0]) * (q[..., 1] - u[..., 1])
             - (v[..., 1] - u[..., 1]) * (q[..., 0] - u[..., 0])

@@ -97,7 +97,7 @@ def test_shape_names_are_annys() -> None:
 
 
 def test_hair_styles_exist() -> None:
-    hair = pytest.importorskip("assets_procedural.hair")
+    hair = pytest.importorskip("assets_procedural.hair_styles")
     assert set(get_args(HairStyle)) == set(hair.STYLES)
 
 

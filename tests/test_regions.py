@@ -7,7 +7,6 @@ from assets_procedural.piece import Part
 from assets_procedural.regions import (
     edge_loop,
     fields,
-    from_base,
     lid_loop,
     part_labels,
 )
@@ -102,7 +101,7 @@ def test_lid_loops_enclose_the_sockets(model):
 
 def test_unknown_places_are_refused(model):
     with pytest.raises(KeyError, match="has no vertices"):
-        from_base(model, [13379 + 10**6])
+        model.from_base([13379 + 10**6])
     with pytest.raises(ValueError, match="no closed edge loop"):
         # A loop across the shoulders runs out of the bust.
         vertex = model.faces["skin"][model.template[model.faces["skin"], 2].mean(axis=1).argmin()]

@@ -1,0 +1,89 @@
+"""Skin: pigments darken and redden, people stay within what skin can look like."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from assets_procedural.head import HeadModel
+from assets_procedural.person import Hair, Person, Skin
+from assets_procedural.person_sampling import PeopleSettings, sample_person
+from assets_procedural.regions import fields
+from assets_procedural.skin import reflectance, skin_fields
+
+AMOUNTS = np.linspace(0, 1, 21)
+
+
+@pytest.fixture(scope="module")
+def model() -> HeadModel:
+    return HeadModel.load()
+
+
+def test_reflectance_is_a_share_of_light():
+    melanin, haemoglobin = np.meshgrid(np.linspace(0, 1.3, 14), np.linspace(0, 3, 13))
+    colour = reflectance(melanin, haemoglobin)
+    assert colour.shape == (13, 14, 3)
+    assert colour.min() > 0 and colour.max() < 1
+
+
+@pytest.mark.parametrize("haemoglobin", [0.0, 0.5, 1.0])
+def test_melanin_darkens_every_channel(haemoglobin):
+    colour = reflectance(AMOUNTS, np.full(21, haemoglobin))
+    assert (np.diff(colour, axis=0) < 0).all()
+    # Brown: red is absorbed least, blue most.
+    assert (np.diff(colour[-1] / colour[0]) < 0).all()
+
+
+@pytest.mark.parametrize("melanin", [0.0, 0.4, 0.9])
+def test_haemoglobin_reddens(melanin):
+    colour = reflectance(np.full(21, melanin), AMOUNTS)
+    assert (np.diff(colour[:, 0] / colour[:, 1]) > 0).all()
+    assert (colour[0] - colour[-1] > 0).all()
+    red, green = (colour[0] / colour[-1])[:2]
+    assert green > red
+
+
+def test_sampled_people_have_skin_colours(model):
+    zone = fields(model)
+    face = zone["forehead"] > 0.9
+    shades = []
+    for seed in range(24):
+        person = sample_person(np.random.default_rng(seed), PeopleSettings())
+        skin = skin_fields(person, model)
+        for name, value in vars(skin).items():
+            assert np.isfinite(value).all() and value.min() >= 0 and value.max() <= 1, name
+        colour = np.median(skin.colour[face], axis=0)
+        # From Fitzpatrick type VI to I: linear red .04 to .8, never green or blue.
+        assert 0.03 < colour[0] < 0.8, seed
+        assert colour[0] > colour[1] > colour[2] > 0.01, seed
+        assert 1.1 < colour[0] / colour[2] < 5, seed
+        shades.append((person.skin.melanin, colour.mean()))
+    melanin, brightness = np.array(shades).T
+    assert np.corrcoef(melanin, brightness)[0, 1] < -0.85
+
+
+def test_lips_and_cheeks_are_redder_than_the_forehead(model):
+    zone = fields(model)
+    colour = skin_fields(Person(), model).colour
+    redness = colour[:, 0] / colour[:, 1]
+    forehead = np.median(redness[zone["forehead"] > 0.9])
+    assert np.median(redness[zone["cheeks"] > 0.9]) > forehead
+    assert np.median(redness[zone["lips"] > 0.9]) > forehead
+
+
+def test_strengths_reach_their_fields(model):
+    plain = skin_fields(Person(skin=Skin(freckles=0, wrinkles=0, oiliness=0)), model)
+    marked = skin_fields(Person(skin=Skin(freckles=1, wrinkles=1, oiliness=1)), model)
+    assert not plain.freckles.any() and not plain.wrinkles.any()
+    assert marked.freckles.max() > 0.9 and marked.wrinkles.max() > 0.9
+    assert (marked.roughness <= plain.roughness).all()
+
+
+def test_dark_hair_shades_the_scalp_and_only_the_scalp(model):
+    bald, dark = (
+        skin_fields(Person(hair=Hair(style=style, melanin=1.0)), model).colour
+        for style in ("bald", "buzz")
+    )
+    scalp = fields(model)["scalp"]
+    assert dark[scalp > 0.9].mean() < bald[scalp > 0.9].mean()
+    np.testing.assert_array_equal(dark[scalp == 0], bald[scalp == 0])
