@@ -47,7 +47,7 @@ HELPERS = {
 # Painted masks of MPFB2's own skin material, sampled at each vertex.
 MASKS = ("lips", "ears", "eyelids", "inside-mouth", "face")
 
-# Adults and teenagers only; sizes at their averages add nothing.
+# Adults and teenagers only; of the chest, which is dressed, only the average (it adds nothing).
 _SKIPPED = ("newborn", "baby", "mincup", "maxcup", "minfirmness", "maxfirmness")
 
 

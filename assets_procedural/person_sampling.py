@@ -150,7 +150,5 @@ def _draw_phenotypes(
         "weight": unit(np.clip(rng.normal(0.5 + heavier, 0.15), 0.15, 0.95)),
         "height": unit(np.clip(rng.normal(0.5, 0.13), 0.15, 0.85)),
         "proportions": unit(rng.beta(2.5, 2.5)),
-        "cupsize": unit(rng.beta(3.0, 4.0)),
-        "firmness": unit(rng.beta(3.0, 3.0)),
         **ancestry,
     }

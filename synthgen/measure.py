@@ -19,6 +19,7 @@ import numpy as np
 from assets_procedural.environment import pool, write_pool
 from synthgen.calibration import Calibration, Kind, machine_name
 from synthgen.errors import JobError
+from synthgen.farm.process import start
 from synthgen.farm.worker import end_process, load_renderer, redirect
 from synthgen.job import JobSpec, SubsetSpec
 from synthgen.plan import Plan, SubjectPlan
@@ -116,8 +117,7 @@ def _in_process(
     job: JobSpec, subjects: Sequence[SubjectPlan], renderer: str, device: str, threads: int
 ) -> Iterator[tuple[float, ...]]:
     """Yield a row per subject from a spawned process, which prints to a log of its own."""
-    context = multiprocessing.get_context("spawn")
-    receiver, sender = context.Pipe(duplex=False)
+    receiver, sender = multiprocessing.get_context("spawn").Pipe(duplex=False)
     with tempfile.TemporaryDirectory(prefix="synthgen-calibration-") as folder:
         log = Path(folder) / "log.txt"
         arguments = (
@@ -129,8 +129,7 @@ def _in_process(
             folder,
             sender,
         )
-        process = context.Process(target=_measure, args=arguments, daemon=True)
-        process.start()
+        process = start(_measure, *arguments)
         sender.close()
         try:
             for _ in subjects:

@@ -6,7 +6,6 @@ import contextlib
 import pickle
 import tempfile
 from dataclasses import dataclass
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,7 @@ import numpy as np
 
 from synthgen import ledger, publish
 from synthgen.dataset import open_dataset
+from synthgen.farm.process import start
 from synthgen.farm.worker import Orders, end_process, load_renderer, reason_of, redirect
 from synthgen.plan import SubjectPlan
 from synthgen.shards import MEMBER_OF
@@ -72,8 +72,7 @@ def rerender(
     with tempfile.TemporaryDirectory() as folder:
         orders = Orders(plan.job, out, renderer, device, threads, Path(folder) / "log")
         target = Path(folder) / "shot"
-        process = get_context("spawn").Process(target=_render, args=(orders, subject, target))
-        process.start()
+        process = start(_render, orders, subject, target)
         process.join(time_limit)
         if process.is_alive():
             process.kill()

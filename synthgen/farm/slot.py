@@ -7,6 +7,7 @@ import time
 from dataclasses import dataclass
 from multiprocessing import get_context
 
+from synthgen.farm.process import start
 from synthgen.farm.worker import Orders, work
 from synthgen.plan import ShardPlan, SubjectPlan
 
@@ -21,11 +22,9 @@ class Slot:
     """One worker process and what it is busy with."""
 
     def __init__(self, orders: Orders, number: int) -> None:
-        context = get_context("spawn")
         self.number, self.log = number, orders.log
-        self.pipe, theirs = context.Pipe()
-        self.process = context.Process(target=work, args=(orders, theirs), daemon=True)
-        self.process.start()
+        self.pipe, theirs = get_context("spawn").Pipe()
+        self.process = start(work, orders, theirs)
         theirs.close()
         self.task: Task | None = None
         self.ready = False
