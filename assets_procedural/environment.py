@@ -62,8 +62,8 @@ BUNDLED: dict[str, str] = {
     "courtyard": _POLY_HAVEN + "courtyard",
     "forest": _POLY_HAVEN + "ninomaru_teien",
     "interior": _POLY_HAVEN + "hotel_room",
-    "night": _POLY_HAVEN + "moonless_golf (probably)",
-    "studio": _POLY_HAVEN + "studio_small_01 (probably)",
+    "night": _POLY_HAVEN + "moonless_golf",
+    "studio": _POLY_HAVEN + "studio_small_01",
     "sunrise": _POLY_HAVEN + "spruit_sunrise",
     "sunset": _POLY_HAVEN + "venice_sunset",
 }

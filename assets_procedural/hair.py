@@ -68,7 +68,7 @@ def _grown(
         style, person, frame, surface, chin, guide_roots.of(identity.rest),
         unit(guide_roots.of(normals)), guide_at, guide_side, rng,
     )  # fmt: skip
-    guides = resample(guides, _trimmed(style, person, frame, guides, guide_at), style.points)
+    guides = resample(guides, _trimmed(style, person, frame, guides), style.points)
 
     roots = child_roots.of(identity.rest)
     ids, weights = spread(guides[:, 0], guide_side, roots, side)
@@ -98,9 +98,7 @@ def _grown(
     return StrandPiece("hair", Part.HAIR, radius, place, shading)
 
 
-def _trimmed(
-    style: Style, person: Person, frame: HeadFrame, guides: np.ndarray, root_at: np.ndarray
-) -> np.ndarray:
+def _trimmed(style: Style, person: Person, frame: HeadFrame, guides: np.ndarray) -> np.ndarray:
     """The fraction (G,) of each guide that the scissors leave."""
     stop = np.ones(len(guides))
     height = frame.to_template(guides)[..., 2]

@@ -181,25 +181,10 @@ def _softbox_shape(direction: np.ndarray, light: Softbox) -> tuple[np.ndarray, n
 def blackbody(kelvin: float) -> np.ndarray:
     """(3,) linear Rec.709 colour of a black body with luminance 1; 6500 K is about white.
 
-    Planckian locus by the cubic fit of Kim et al. (2002), 1667 to 25000 K.
+    Planckian locus of Kang et al. (2002), 1667 to 25000 K.
     """
-    t = 1000.0 / kelvin
-    if kelvin <= 4000.0:
-        x = -0.2661239 * t**3 - 0.2343589 * t**2 + 0.8776956 * t + 0.179910
-    else:
-        x = -3.0258469 * t**3 + 2.1070379 * t**2 + 0.2226347 * t + 0.240390
-    if kelvin <= 2222.0:
-        y = -1.1063814 * x**3 - 1.34811020 * x**2 + 2.18555832 * x - 0.20219683
-    elif kelvin <= 4000.0:
-        y = -0.9549476 * x**3 - 1.37418593 * x**2 + 2.09137015 * x - 0.16748867
-    else:
-        y = 3.0817580 * x**3 - 5.87338670 * x**2 + 3.75112997 * x - 0.37001483
-    xyz = np.array([x / y, 1.0, (1.0 - x - y) / y])
-    matrix = np.array(
-        [
-            [3.2404542, -1.5371385, -0.4985314],
-            [-0.9692660, 1.8760108, 0.0415560],
-            [0.0556434, -0.2040259, 1.0572252],
-        ]
-    )
-    return np.clip(matrix @ xyz, 0.0, None)
+    import colour  # here: it takes a second, and only studios need it
+
+    xyz = colour.xy_to_XYZ(colour.temperature.CCT_to_xy_Kang2002(kelvin))
+    rgb = colour.XYZ_to_RGB(xyz, colour.RGB_COLOURSPACES["sRGB"])
+    return np.clip(rgb, 0.0, None)

@@ -177,9 +177,8 @@ class _Garment:
         band = [sheet.faces[pattern.band]]
         for loop in pattern.necklines:
             band.append(self._hem(loop, cloth, normals, style, weights))
-        centre = skin.mean(axis=0)
         for loop in pattern.ends:
-            body.append(self._close(loop, cloth, weights, centre))
+            body.append(self._close(loop, cloth, weights))
         self.body_faces = np.concatenate(body).astype(np.int32)
         self.band_faces = np.concatenate(band).astype(np.int32)
         self.rest = np.concatenate(self._points)
@@ -233,9 +232,7 @@ class _Garment:
             rings.append(start + np.arange(len(loop)))
         return np.concatenate([ring_strip(a, b) for a, b in itertools.pairwise(rings)])
 
-    def _close(
-        self, loop: np.ndarray, cloth: np.ndarray, weights: np.ndarray, centre: np.ndarray
-    ) -> np.ndarray:
+    def _close(self, loop: np.ndarray, cloth: np.ndarray, weights: np.ndarray) -> np.ndarray:
         """Carry a sleeve or the waist on beyond the bust's end, and close it there."""
         edge = cloth[loop]
         middle = edge.mean(axis=0)

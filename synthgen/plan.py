@@ -47,7 +47,8 @@ class EnvironmentUse(Parameters):
 
 
 class ShotPlan(Parameters):
-    """One shot: indices into the subject's `poses` and `cameras`; `seed` for its label render."""
+    """One shot: indices into the subject's `poses` and `cameras`; `seed` for its noise, added to
+    the environment's."""
 
     key: str
     pose: int

@@ -67,7 +67,7 @@ def _build_skin(person: Person, identity: Identity) -> tuple[Subdivision, bpy.ty
 
 def _build_piece(piece: Piece, bust: Bust) -> bpy.types.Object:
     if isinstance(piece, StrandPiece):
-        return _build_strands(piece, bust)
+        return _build_strands(piece)
     vertices = piece.place(bust)
     mesh = _mesh(piece.name, vertices, piece.faces, piece.uv, piece.vertex, piece.part)
     mesh.shade_smooth() if piece.smooth else mesh.shade_flat()
@@ -77,7 +77,7 @@ def _build_piece(piece: Piece, bust: Bust) -> bpy.types.Object:
     return object_
 
 
-def _build_strands(piece: StrandPiece, bust: Bust) -> bpy.types.Object:
+def _build_strands(piece: StrandPiece) -> bpy.types.Object:
     strands, points = piece.radius.shape
     curves = bpy.data.hair_curves.new(piece.name)
     curves.add_curves([points] * strands)

@@ -2,8 +2,8 @@
 
 Every opaque material writes the same label AOVs at its first hit, so that albedo, normal, canonical
 position, texture coordinate and part label exist on skin, hair, eyes and metal alike. Lengths are
-metres, colours linear Rec.709; noise is anchored to the vertex attribute `rest` (neutral template
-position), so that it sticks to the skin under identity, expression and pose.
+metres, colours linear Rec.709; noise on skin is anchored to the vertex attribute `rest` (neutral
+template position), on cloth to `canonical`, so that it sticks under expression and pose.
 """
 
 from __future__ import annotations

@@ -61,7 +61,7 @@ def render_subject(
                 for s in taken
             }
         with clock("beauty"):
-            linear = _beauty(subject, job, environments, cameras)
+            linear = _beauty(subject, job, environments, taken, cameras)
         scene.set_mode("labels", job.samples)
         for shot in taken:
             if shot is taken[-1]:
@@ -85,15 +85,19 @@ def render_subject(
 
 
 def _beauty(
-    subject: SubjectPlan, job: JobSpec, environments: Path, cameras: dict[str, Camera]
+    subject: SubjectPlan,
+    job: JobSpec,
+    environments: Path,
+    taken: list[ShotPlan],
+    cameras: dict[str, Camera],
 ) -> _Beauty:
     scene.set_mode("beauty", job.samples)
-    images: _Beauty = {key: [] for key in cameras}
+    images: _Beauty = {shot.key: [] for shot in taken}
     for use in subject.environments:
         scene.set_light(environments / f"{use.id}.exr", use.rotation)
-        for key, camera in cameras.items():
-            scene.set_camera(camera)
-            images[key].append(scene.shoot_beauty(use.seed))
+        for shot in taken:
+            scene.set_camera(cameras[shot.key])
+            images[shot.key].append(scene.shoot_beauty((use.seed + shot.seed) % 2**31))
     return images
 
 
@@ -164,7 +168,7 @@ def _head_model() -> HeadModel:
     return HeadModel.load()
 
 
-@lru_cache(maxsize=32)
+@lru_cache(maxsize=10)
 def _panorama(path: Path) -> np.ndarray:
     return panorama.load(path)
 

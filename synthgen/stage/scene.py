@@ -1,6 +1,6 @@
 """Cycles as two cameras over one scene: a beauty render per light, a label render per view.
 
-The label render sees the same geometry through pixel centres (a box filter of 0.01 pixels, one
+The label render sees the same geometry through pixel centres (a pixel filter 0.01 wide, one
 sample, no bounces, no denoising) with thin clear surfaces hidden, so ids are exact and normals are
 unit. Both are written to a scratch EXR and come back as arrays, row 0 at the top.
 """
@@ -144,7 +144,7 @@ def set_camera(camera: Camera) -> None:
     viewer.matrix_world = camera.camera_to_world.T
     viewer.data.sensor_width = SENSOR_MM
     viewer.data.lens = camera.focal_mm
-    viewer.data.clip_start, viewer.data.clip_end = 0.01, 100.0
+    viewer.data.clip_start, viewer.data.clip_end = 0.01, 1000.0
 
 
 def keep() -> None:
