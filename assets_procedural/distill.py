@@ -45,7 +45,7 @@ HELPERS = {
     "helper-hair": "hair_cap",
 }
 # Painted masks of MPFB2's own skin material, sampled at each vertex.
-MASKS = ("lips", "ears", "eyelids", "inside-mouth", "face")
+MASKS = ("lips", "ears", "inside-mouth")
 
 # Adults and teenagers only; of the chest, which is dressed, only the average (it adds nothing).
 _SKIPPED = ("newborn", "baby", "mincup", "maxcup", "minfirmness", "maxfirmness")
@@ -122,7 +122,7 @@ def _distilled_arrays() -> dict[str, np.ndarray]:
     arrays["macro/variations"] = np.array([v for vs in PHENOTYPE_VARIATIONS.values() for v in vs])
 
     faces = [i for i, label in enumerate(labels) if label.startswith("facial_action:")]
-    arrays["facial/shapes"], arrays["facial/joints"] = rows(faces)
+    arrays["facial/shapes"], _ = rows(faces)
     arrays["facial/labels"] = np.array([labels[i].split(":")[1] for i in faces])
     eyes = np.unique([new_index[pieces[e][0]] for e in ("eye_left", "eye_right")])
     looking = np.char.startswith(arrays["facial/labels"], "eyeLook")

@@ -40,7 +40,7 @@ _PHENOTYPE_ANCHORS = {
     "cupsize": ("mincup", "averagecup", "maxcup"),
     "firmness": ("minfirmness", "averagefirmness", "maxfirmness"),
 }
-FORMAT = 2
+FORMAT = 3
 
 
 def cache_folder() -> Path:
