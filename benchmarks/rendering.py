@@ -10,6 +10,7 @@ picture (foreground over black) against a converged render, by samples per pixel
 from __future__ import annotations
 
 import argparse
+import os
 import tempfile
 import time
 from concurrent.futures import ProcessPoolExecutor
@@ -17,6 +18,8 @@ from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
+
+from synthgen.farm.worker import redirect
 
 STEPS = ("build", "pose", "sync", "sample", "denoise", "labels", "develop", "write")
 SAMPLES = (4, 8, 16, 32, 64)
@@ -44,6 +47,7 @@ def measure(index: int, resolution: int) -> dict[str, float]:
     start = time.process_time()
     identity = model.identity(subject.person)
     scene.open_stage(resolution, 2, "cpu", 1)
+    scene.keep()
     figure = build_figure(subject.person, identity, pieces(subject.person, identity))
     clock("build", start)
 
@@ -102,6 +106,7 @@ def fidelity(index: int, resolution: int, reference: int) -> list[float]:
     _, subject, folder = _subject(index, resolution)
     identity = HeadModel.load().identity(subject.person)
     scene.open_stage(resolution, 4, "cpu", 1)
+    scene.keep()
     figure = build_figure(subject.person, identity, pieces(subject.person, identity))
     bust = identity.pose(subject.poses[0])
     pose_figure(figure, bust)
@@ -148,7 +153,13 @@ def main() -> None:
         "--reference", type=int, default=512, help="samples of the converged render"
     )
     options = parser.parse_args()
-    with ProcessPoolExecutor(1, mp_context=get_context("spawn"), max_tasks_per_child=1) as pool:
+    with ProcessPoolExecutor(
+        1,
+        mp_context=get_context("spawn"),
+        max_tasks_per_child=1,
+        initializer=redirect,  # Cycles writes to the standard output
+        initargs=(Path(os.devnull),),
+    ) as pool:
         print("| CPU seconds | " + " | ".join(f"{r}²" for r in options.resolutions) + " |")
         print("|---" * (len(options.resolutions) + 1) + "|")
         means = {}
