@@ -47,6 +47,7 @@ __all__ = [
     "lookup",
     "panorama_of",
     "pool",
+    "provenance",
     "rotate_z",
     "uv_to_direction",
     "write_pool",
@@ -87,7 +88,7 @@ class EnvironmentSettings(Settings):
     """Number of procedural studio set-ups."""
     rotation: Annotated[Interval, interval(-360.0, 360.0, "degrees")] = (0.0, 360.0)
     """Rotation about the vertical axis, degrees, drawn per subject and environment."""
-    exposure: Annotated[Interval, interval(-8.0, 8.0, "stops")] = (-0.5, 0.5)
+    exposure: Annotated[Interval, interval(-4.0, 4.0, "stops")] = (-0.5, 0.5)
     """Stops around the exposure metered on the face."""
     max_width: int = Field(default=2048, ge=64, le=16384)
     """Wider panoramas of `folder` are area-averaged down to this width, pixels."""
@@ -181,11 +182,16 @@ def write_pool(specs: Iterable[EnvironmentSpec], folder: Path) -> list[Path]:
     return paths
 
 
-def _header(spec: EnvironmentSpec) -> dict[str, Any]:
-    header = {f"environment_{key}": value for key, value in spec.model_dump(mode="json").items()}
+def provenance(spec: EnvironmentSpec) -> dict[str, Any]:
+    """What is recorded of an environment; of one that comes from a file also its sha256."""
+    entry = spec.model_dump(mode="json")
     if spec.path is not None and spec.path.is_file():
-        header["environment_sha256"] = hashlib.sha256(spec.path.read_bytes()).hexdigest()
-    return header
+        entry["sha256"] = hashlib.sha256(spec.path.read_bytes()).hexdigest()
+    return entry
+
+
+def _header(spec: EnvironmentSpec) -> dict[str, Any]:
+    return {f"environment_{key}": value for key, value in provenance(spec).items()}
 
 
 def _same_header(path: Path, header: dict[str, Any]) -> bool:

@@ -41,8 +41,9 @@ class AncestryWeights(Settings):
 class PeopleSettings(Settings):
     """Distribution of people. Probabilities in [0, 1], intervals (low, high)."""
 
-    age: Annotated[Interval, interval(5.0, 95.0, "years")] = (18.0, 85.0)
-    """Years; drawn from a flattened age pyramid over this interval."""
+    age: Annotated[Interval, interval(16.0, 95.0, "years")] = (18.0, 85.0)
+    """Years; drawn from a flattened age pyramid over this interval. The head has no shapes of
+    children."""
     male: float = Field(default=0.5, ge=0.0, le=1.0)
     """Share of men."""
     ancestry: AncestryWeights = AncestryWeights()

@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 SENSOR_MM = 36.0
 """Width and height of the square sensor that focal lengths refer to."""
 
-_FLIP_YZ = np.diag([1.0, -1.0, -1.0, 1.0])
-
 
 class CameraSample(Parameters):
     """Where a camera stands about a head that is not known yet. Angles in radians.
@@ -154,16 +152,6 @@ def resolve(
     middle = resolution / 2.0
     intrinsics = np.array([[focal, 0.0, middle], [0.0, focal, middle], [0.0, 0.0, 1.0]])
     return Camera(camera_to_world, intrinsics, resolution, resolution)
-
-
-def opengl_to_opencv(camera_to_world: np.ndarray) -> np.ndarray:
-    """(..., 4, 4) with OpenGL axes to OpenCV's (x right, y down, z forward); its own inverse."""
-    return camera_to_world @ _FLIP_YZ
-
-
-def world_to_camera_opencv(camera: Camera) -> np.ndarray:
-    """(4, 4) extrinsics as OpenCV and COLMAP write them."""
-    return np.linalg.inv(opengl_to_opencv(camera.camera_to_world))
 
 
 def nerfstudio_frame(camera: Camera) -> dict[str, object]:

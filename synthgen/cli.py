@@ -103,6 +103,12 @@ def render(
     retry_failed: Annotated[
         bool, typer.Option("--retry-failed", help="Try subjects again that were given up.")
     ] = False,
+    time_limit: Annotated[
+        float | None,
+        typer.Option(
+            min=1.0, metavar="SECONDS", help="A subject's; default: by far more than it needs."
+        ),
+    ] = None,
     renderer: Renderer = DEFAULT_RENDERER,
 ) -> None:
     """Render a job. Running the same command again resumes."""
@@ -114,7 +120,7 @@ def render(
     spec = load_job(job, overrides or ())
     _, environments = preflight.make_plan(spec, job)
     preflight.check_output(out)
-    preflight.check_disk(out, spec, share=1 / slice_[1])
+    preflight.check_disk(out, spec, slice_, limit)
     preflight.check_device(device)
     _check_panoramas(environments, out, job)
     if workers is None and device != "cpu":
@@ -129,6 +135,7 @@ def render(
         limit=limit,
         renderer=renderer,
         retry_failed=retry_failed,
+        time_limit=time_limit,
     )
     screen = console.stdout()
     done = f"{summary.rendered} subjects, {summary.frames} frames"

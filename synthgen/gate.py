@@ -153,6 +153,13 @@ def _shapes(shot: Shot) -> list[str]:
             problems.append(f"{name} is {array.dtype} {array.shape}, not {np.dtype(dtype)} {shape}")
     if shot.rgb.shape[-1] not in (3, 4):
         problems.append(f"rgb has {shot.rgb.shape[-1]} channels")
+    controls = {
+        shot.geometry.get(f"control_{what}{suffix}", np.empty(0)).shape
+        for what in ("points", "normals")
+        for suffix in ("", "_canonical")
+    }
+    if len(controls) > 1 or (shape := controls.pop())[1:] != (3,) or not shape[0]:
+        problems.append("geometry has no control points and normals of one shape (N, 3)")
     camera = shot.meta.get("camera", {})
     if (camera.get("width"), camera.get("height")) != (width, height):
         problems.append("the camera's size is not the image's")

@@ -70,6 +70,12 @@ def shard_records(out: Path, subset: str) -> Iterator[dict[str, Any]]:
             yield json.loads(path.read_bytes())
 
 
+def has_records(out: Path) -> bool:
+    """Whether anything was rendered: a shard's record, a failure, or a subject that waits."""
+    patterns = ("ledger/*/*.json", "ledger/failed/*/*.json", "work/*/s*.json")
+    return any(True for pattern in patterns for _ in out.glob(pattern))
+
+
 # ---------------------------------------------------------------- failures
 
 

@@ -20,6 +20,7 @@ from assets_procedural.environment import pool, write_pool
 from synthgen.calibration import Calibration, Kind, machine_name
 from synthgen.errors import JobError
 from synthgen.farm.process import start
+from synthgen.farm.run import time_allowed
 from synthgen.farm.worker import end_process, load_renderer, redirect
 from synthgen.job import JobSpec, SubsetSpec
 from synthgen.plan import Plan, SubjectPlan
@@ -32,8 +33,6 @@ SUBJECTS = 2
 """Subjects that are measured per kind."""
 MOST = 3
 """Shots and environments of the larger measurements."""
-TIME_LIMIT = 1800.0
-"""Seconds that one of the measured subjects may take."""
 
 
 def measure(
@@ -132,9 +131,10 @@ def _in_process(
         process = start(_measure, *arguments)
         sender.close()
         try:
-            for _ in subjects:
-                if not receiver.poll(TIME_LIMIT):
-                    raise _failure(f"the renderer took more than {TIME_LIMIT:.0f} s for a subject")
+            for subject in subjects:
+                allowed = time_allowed(job, subject.frames)
+                if not receiver.poll(allowed):
+                    raise _failure(f"the renderer took more than {allowed:.0f} s for a subject")
                 try:
                     row = receiver.recv()
                 except EOFError:

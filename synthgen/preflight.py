@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 from assets_procedural.environment import EnvironmentSpec, PanoramaError, load, pool
+from synthgen import ledger
 from synthgen.errors import JobError
 from synthgen.job import JobSpec
-from synthgen.plan import Plan, subject_bytes
+from synthgen.plan import Plan, subject_bytes, subject_key
 
 DEVICES = ("cpu", "cuda", "optix", "hip", "metal")
 
@@ -26,6 +29,8 @@ def make_plan(job: JobSpec, file: str | Path) -> tuple[Plan, list[EnvironmentSpe
         specs = list(pool(job.environments, job.seed))
     except PanoramaError as error:
         raise _panorama_error(error, job.environments.folder, file) from None
+    except OSError as error:
+        raise _unreadable(error, job.environments.folder, file) from None
     for name, subset in job.subsets.items():
         if subset.environments > len(specs):
             raise JobError(
@@ -44,6 +49,8 @@ def check_panorama(spec: EnvironmentSpec, file: str | Path) -> None:
             load(spec.path)
         except PanoramaError as error:
             raise _panorama_error(error, spec.path, file) from None
+        except OSError as error:
+            raise _unreadable(error, spec.path, file) from None
 
 
 def check_output(out: Path) -> None:
@@ -60,11 +67,15 @@ def check_output(out: Path) -> None:
         raise JobError("--out", "", str(out), remedy)
 
 
-def check_disk(out: Path, job: JobSpec, share: float = 1.0) -> None:
-    """Room for what is still to be written of `share` of the job, and a tenth more."""
-    expected = share * sum(s.subjects * subject_bytes(job, s) for s in job.subsets.values())
-    present = _size(out / "data") + _size(out / "work")
-    needed = 1.1 * max(expected - present, 0.0)
+def check_disk(
+    out: Path, job: JobSpec, slice_: tuple[int, int] = (1, 1), limit: int | None = None
+) -> None:
+    """Room for what a run is still to write, and a tenth more.
+
+    The run renders slice `slice_` = (i, n) and at most `limit` subjects.
+    """
+    missing = sum(itertools.islice(_missing(out, job, slice_), limit))
+    needed = 1.1 * missing
     free = shutil.disk_usage(_existing_parent(out)).free
     if needed > free:
         raise JobError(
@@ -74,6 +85,21 @@ def check_disk(out: Path, job: JobSpec, share: float = 1.0) -> None:
             f"too little disk: about {needed / 1e9:.1f} GB needed, {free / 1e9:.1f} GB free; "
             "free some, give another disk, or split the job by --shard",
         )
+
+
+def _missing(out: Path, job: JobSpec, slice_: tuple[int, int]) -> Iterator[int]:
+    """Expected bytes of every subject of a slice that is not on disk, in the order of a run."""
+    # What a shard holds does not depend on the environments.
+    the_plan = Plan(job, [""] * max(s.environments for s in job.subsets.values()))
+    every = [shard for name in job.subsets for shard in the_plan.shards(name)]
+    for shard in every[slice_[0] - 1 :: slice_[1]]:
+        if ledger.shard_record(out, shard.subset, Path(shard.name).stem) is None:
+            size = subject_bytes(job, job.subsets[shard.subset])
+            for index in shard.subjects:
+                if not os.path.exists(
+                    ledger.work_file(out, shard.subset, subject_key(index), ".json")
+                ):
+                    yield size
 
 
 def check_device(device: str) -> None:
@@ -127,12 +153,16 @@ def _panorama_error(error: PanoramaError, path: Path | None, file: str | Path) -
     return JobError(file, "environments.bundled", "", message)
 
 
+def _unreadable(error: OSError, path: Path | None, file: str | Path) -> JobError:
+    reason = error.strerror or str(error)
+    remedy = f"cannot be read ({reason}); change its rights or give another"
+    field = "environments.folder" if path is not None else "environments.bundled"
+    return JobError(file, field, f'"{path}"' if path is not None else "", remedy)
+
+
 def _existing_parent(path: Path) -> Path:
     path = path.absolute()
-    while not path.exists():
+    # Not Path.exists, which raises where a parent may not be entered.
+    while not os.path.exists(path):
         path = path.parent
     return path
-
-
-def _size(folder: Path) -> int:
-    return sum(p.stat().st_size for p in folder.rglob("*") if p.is_file())

@@ -10,6 +10,7 @@ import json
 import subprocess
 from collections.abc import Iterator
 from datetime import UTC, datetime
+from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
 
@@ -51,22 +52,10 @@ def code_version() -> dict[str, str]:
 def begin(
     out: Path, plan: Plan, environments: list[dict[str, Any]], renderer: str
 ) -> dict[str, Any]:
-    """Write dataset.json for a new dataset, or check that the folder holds this very job.
-
-    `environments` is the provenance of the pool, one entry with an "id" per panorama. Raises
-    `StorageError` that names the differing fields if the folder holds another job, is a file, or
-    has something else in it.
-    """
+    """Write dataset.json for a new dataset, or `check` that the folder holds this very job."""
     job = plan.job.model_dump(mode="json")
-    path = out / "dataset.json"
-    if out.exists() and not out.is_dir():
-        raise ledger.StorageError(f"{out}: is a file; give a folder that --out may fill")
-    if not path.exists():
-        foreign = [p.name for p in out.iterdir() if p.name != "work"] if out.is_dir() else []
-        if foreign:
-            raise ledger.StorageError(
-                f"{out}: holds other files ({foreign[0]}, …) and no dataset; give an empty folder"
-            )
+    info = check(out, plan, environments, renderer)
+    if info is None:
         info = {
             "format": FORMAT,
             "name": plan.job.name,
@@ -87,23 +76,85 @@ def begin(
             "created": datetime.now(UTC).date().isoformat(),
             "licences": licences.LICENCES,
         }
-        write_atomically(path, _pretty(info))
-        return info
+        write_atomically(out / "dataset.json", _pretty(info))
+    return info
+
+
+def check(
+    out: Path, plan: Plan, environments: list[dict[str, Any]], renderer: str
+) -> dict[str, Any] | None:
+    """Whether `out` may be filled with this job: its dataset.json, None if there is none yet.
+
+    `environments` is the provenance of the pool, one entry with an "id" per panorama. Raises
+    `StorageError` that names the differing fields if the folder holds another job, is a file, has
+    something else in it, or was left unfinished by another version of the code. Writes nothing.
+    """
+    path = out / "dataset.json"
+    if out.exists() and not out.is_dir():
+        raise ledger.StorageError(f"{out}: is a file; give a folder that --out may fill")
+    foreign = sorted(_foreign(out))
+    if not path.exists():  # asked after the listing: another slice may just be writing it
+        if foreign:
+            raise ledger.StorageError(
+                f"{out}: holds other files ({foreign[0]}, …) and no dataset; give an empty folder"
+            )
+        return None
     info = ledger.read_dataset_json(out)
     if info.get("format") != FORMAT:
         raise ledger.StorageError(
             f"{path}: format {info.get('format')}, this version writes {FORMAT}; use a new folder"
         )
-    stored, wanted = info["job"] | {"renderer": info["renderer"]}, job | {"renderer": renderer}
+    stored = info["job"] | {"renderer": info["renderer"]}
+    wanted = plan.job.model_dump(mode="json") | {"renderer": renderer}
     differing = list(_differences("", stored, wanted))
-    if not differing and [e["id"] for e in info["environments"]] != list(plan.environment_ids):
-        differing = ["the panoramas of environments.folder"]
+    if not differing:
+        if not info.get("complete"):
+            _check_code(out, info)
+        there, here = ({e["id"]: e for e in pool} for pool in (info["environments"], environments))
+        differing = [
+            f"environment {name} {_how_differs(there.get(name), here.get(name))}"
+            for name in [*there, *(here.keys() - there.keys())]
+            if there.get(name) != here.get(name)
+        ]
+        if not differing and list(there) != list(here):
+            differing = ["environments in another order"]
     if differing:
         shown = "; ".join(differing[:6]) + ("; …" if len(differing) > 6 else "")
         raise ledger.StorageError(
             f"{out}: holds another job ({shown}); give another --out folder, or that job"
         )
     return info
+
+
+def _foreign(out: Path) -> Iterator[str]:
+    """What a folder without dataset.json holds that no start of a run can have left there."""
+    for path in out.iterdir() if out.is_dir() else ():
+        if path.name == "work" and path.is_dir():
+            yield from (f"work/{p.name}" for p in path.iterdir() if p.name != "locks")
+        elif not fnmatch(path.name, ".dataset.json.*.tmp"):
+            yield path.name
+
+
+def _how_differs(there: dict[str, Any] | None, here: dict[str, Any] | None) -> str:
+    if there is None or here is None:
+        return "is new here" if there is None else "is missing here"
+    if there.get("sha256") != here.get("sha256"):
+        return f"has another content than when the dataset was begun ({here['source']})"
+    return "is described otherwise"
+
+
+def _check_code(out: Path, info: dict[str, Any]) -> None:
+    """Another version may make other people of the same seeds: it must not render the rest."""
+    there, here = info["code"], code_version()
+    if there != here:
+        raise ledger.StorageError(
+            f"{out}: begun by synthgen {_version(there)}, this is {_version(here)}, and a dataset "
+            "never mixes versions; check out that one to continue, or give another --out folder"
+        )
+
+
+def _version(code: dict[str, str]) -> str:
+    return code["version"] + (f" ({code['commit']})" if "commit" in code else "")
 
 
 def _differences(name: str, there: Any, here: Any) -> Iterator[str]:
@@ -132,9 +183,13 @@ def stored_plan(out: Path) -> Plan:
 
 
 def reopen(out: Path) -> None:
-    """Mark a dataset incomplete before its shards are touched again."""
+    """Mark a dataset incomplete before its shards are touched again.
+
+    Raises `StorageError` if another version of the code rendered it.
+    """
     info = ledger.read_dataset_json(out)
     if info["complete"]:
+        _check_code(out, info)
         write_atomically(out / "dataset.json", _pretty(info | {"complete": False}))
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
+import json
 import pickle
 import tempfile
 from dataclasses import dataclass
@@ -12,8 +14,10 @@ from typing import Any
 import numpy as np
 
 from synthgen import ledger, publish
+from synthgen.codecs import encode_json
 from synthgen.dataset import open_dataset
 from synthgen.farm.process import start
+from synthgen.farm.run import time_allowed
 from synthgen.farm.worker import Orders, end_process, load_renderer, reason_of, redirect
 from synthgen.plan import SubjectPlan
 from synthgen.shards import MEMBER_OF
@@ -53,7 +57,7 @@ def rerender(
     subset: str | None = None,
     device: str = "cpu",
     threads: int = 1,
-    time_limit: float = 1800.0,
+    time_limit: float | None = None,
 ) -> Report:
     """Render the shot `key` again from dataset.json alone and compare it with what is stored.
 
@@ -73,7 +77,7 @@ def rerender(
         orders = Orders(plan.job, out, renderer, device, threads, Path(folder) / "log")
         target = Path(folder) / "shot"
         process = start(_render, orders, subject, target)
-        process.join(time_limit)
+        process.join(time_allowed(plan.job, subject.frames) if time_limit is None else time_limit)
         if process.is_alive():
             process.kill()
             process.join()
@@ -87,27 +91,38 @@ def rerender(
 
 
 def compare(stored: Shot, again: Shot) -> Report:
-    """The difference of two shots, field by field; `inf` where shapes differ."""
+    """The difference of two shots, field by field; `inf` where shapes or words differ."""
     fields: dict[str, Difference] = {}
-    for i, (a, b) in enumerate(zip(stored.rgb, again.rgb, strict=False)):
-        fields[f"rgb_{i:02d}"] = _difference(a, b)
-    if stored.hdr is not None and again.hdr is not None:
-        for i, (a, b) in enumerate(zip(stored.hdr, again.hdr, strict=False)):
-            fields[f"hdr_{i:02d}"] = _difference(a, b)
+    for name in ("rgb", "hdr"):
+        ours, theirs = getattr(stored, name), getattr(again, name)
+        pairs = itertools.zip_longest(
+            () if ours is None else ours, () if theirs is None else theirs
+        )
+        for i, (a, b) in enumerate(pairs):
+            fields[f"{name}_{i:02d}"] = _difference(a, b)
     for name in MEMBER_OF:
         if name not in ("geometry", "meta"):
             fields[name] = _difference(getattr(stored, name), getattr(again, name))
-    for name in sorted(stored.geometry):
-        fields[f"geometry {name}"] = _difference(stored.geometry[name], again.geometry.get(name))
-    for name in ("camera", "exposures", "landmarks"):
-        fields[f"meta {name}"] = _difference(
-            _numbers(stored.meta[name]), _numbers(again.meta[name])
-        )
+    for name in sorted(stored.geometry | again.geometry):
+        ours, theirs = stored.geometry.get(name), again.geometry.get(name)
+        fields[f"geometry {name}"] = _difference(ours, theirs)
+    # As it would be stored: a renderer may give tuples and numbers of NumPy.
+    meta = json.loads(encode_json(again.meta))
+    for name in sorted(stored.meta | meta):
+        fields[f"meta {name}"] = _meta_difference(stored.meta.get(name), meta.get(name))
     return Report(f"{stored.meta['subset']}/{stored.key}", fields)
 
 
-def _difference(a: np.ndarray, b: np.ndarray | None) -> Difference:
-    if b is None or a.shape != b.shape:
+def _meta_difference(a: Any, b: Any) -> Difference:
+    """Of the numbers in two JSON values, if these are not equal; `inf` if the rest differs."""
+    if a == b:
+        return Difference(0.0, 0.0)
+    gap = _difference(_numbers(a), _numbers(b))
+    return gap if gap.share else Difference(float("inf"), 1.0)
+
+
+def _difference(a: np.ndarray | None, b: np.ndarray | None) -> Difference:
+    if a is None or b is None or a.shape != b.shape:
         return Difference(float("inf"), 1.0)
     gap = np.abs(a.astype(np.float64) - b.astype(np.float64))
     return Difference(float(gap.max(initial=0)), float((gap > 0).mean()) if gap.size else 0.0)

@@ -15,9 +15,10 @@ from synthgen.atomic import sha256
 from synthgen.gate import inspect
 from synthgen.plan import ShardPlan, SubjectPlan, subject_key
 from synthgen.shards import decode
-from synthgen.shot import shown_expression
+from synthgen.shot import Shot, shown_expression
 
 LINES_PER_SHARD = 20
+UNCHECKED = "cannot be checked"
 
 
 def check_shard(
@@ -31,12 +32,25 @@ def check_shard(
     out, shard, has_table, same_code = job
     counts = {"subjects": 0, "shots": 0, "frames": 0}
     problems = []
-    for problem in _shard_problems(out, shard, has_table, same_code, counts):
+    found = _shard_problems(out, shard, has_table, same_code, counts)
+    for problem in unfailing("", found):
         problems.append(f"data/{shard.name}: {problem}")
         if len(problems) >= LINES_PER_SHARD:
             problems.append(f"data/{shard.name}: and more")
             break
     return problems, counts
+
+
+def unfailing(where: str, problems: Iterator[str]) -> Iterator[str]:
+    """`problems`, and one more that says why if finding them fails: a check never raises.
+
+    A damaged file may hold anything, so that any access to what it should hold can fail.
+    """
+    try:
+        yield from problems
+    except Exception as error:
+        reason = f"{type(error).__name__}: {' '.join(str(error).split())[:120]}"
+        yield f"{where}: {UNCHECKED} ({reason})".removeprefix(": ")
 
 
 def _shard_problems(
@@ -53,6 +67,8 @@ def _shard_problems(
         yield "its record does not list the subjects that the plan puts there"
     counts["subjects"] = len(record["subjects"])
     if not record["subjects"]:
+        if path.exists():
+            yield "is there, but its record names no subject in it"
         return
     if not path.exists():
         yield "missing"
@@ -108,20 +124,28 @@ def _samples(
                 except ValueError as error:
                     yield f"{key}: {error}"
                     continue
-                problems, quality = inspect(shot)
-                yield from (f"{key}: {problem}" for problem in problems)
-                if problems:
-                    continue
-                if same_code:
-                    yield from (
-                        f"{key}: {p}" for p in _against_plan(subject_of, shard, key, shot.meta)
-                    )
-                if row is not None:
-                    yield from (
-                        f"{key}: {p}" for p in _against_row(out, row, shot.meta, quality, places)
-                    )
+                check = functools.partial(_against_plan, subject_of, shard) if same_code else None
+                found = _sample(out, shot, check, row, places)
+                yield from (f"{key}: {problem}" for problem in unfailing("", found))
     except (tarfile.TarError, EOFError, OSError) as error:
         yield f"not a whole tar: {' '.join(str(error).split())[:120]}"
+
+
+def _sample(
+    out: Path,
+    shot: Shot,
+    against_plan: Callable[[str, dict[str, Any]], Iterator[str]] | None,
+    row: dict[str, Any] | None,
+    places: list[dict[str, Any]],
+) -> Iterator[str]:
+    problems, quality = inspect(shot)
+    yield from problems
+    if problems:
+        return
+    if against_plan is not None:
+        yield from against_plan(shot.key, shot.meta)
+    if row is not None:
+        yield from _against_row(out, row, shot.meta, quality, places)
 
 
 def _grouped(
@@ -181,9 +205,9 @@ def _against_row(
     place = {name: row[name] for name in ("shard", "mesh", "mesh_sha256")}
     place |= {"offset": start, "size": end - start, "members": places}
     expected = columns.row(meta, quality, {}, place)
-    for name in row:
-        if not name.startswith("cost_") and not _same(row[name], expected.get(name)):
-            there, here = str(row[name])[:40], str(expected.get(name))[:40]
+    for name in expected | row:
+        if not name.startswith("cost_") and not _same(row.get(name), expected.get(name)):
+            there, here = str(row.get(name))[:40], str(expected.get(name))[:40]
             yield f"the manifest's {name} is {there}, not {here}"
     mesh = out / row["mesh"]
     if not mesh.is_file():

@@ -11,10 +11,8 @@ from synthgen.camera import (
     Camera,
     CameraSample,
     nerfstudio_frame,
-    opengl_to_opencv,
     resolve,
     sample_camera,
-    world_to_camera_opencv,
 )
 from synthgen.job import CameraSettings
 
@@ -94,18 +92,6 @@ def test_points_behind_the_camera_stay_finite() -> None:
     pixels, depth = camera.project(np.stack([camera.position, camera.position - camera.forward]))
     assert np.isfinite(pixels).all()
     np.testing.assert_allclose(depth, [0, -1], atol=1e-12)
-
-
-def test_opencv_extrinsics_project_alike() -> None:
-    _, camera = random_camera(1)
-    points = HEAD + np.random.default_rng(0).normal(0, 0.1, (9, 3))
-    extrinsics = world_to_camera_opencv(camera)
-    local = points @ extrinsics[:3, :3].T + extrinsics[:3, 3]
-    image = local @ camera.intrinsics.T
-    np.testing.assert_allclose(image[:, :2] / image[:, 2:], camera.project(points)[0])
-    np.testing.assert_allclose(local[:, 2], camera.project(points)[1])
-    twice = opengl_to_opencv(opengl_to_opencv(camera.camera_to_world))
-    np.testing.assert_array_equal(twice, camera.camera_to_world)
 
 
 def test_nerfstudio_frame() -> None:

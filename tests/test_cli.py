@@ -179,7 +179,7 @@ def test_render_status_and_verify(
     assert "4 of 15 frames" in synthgen("status", out).stdout
     assert "holds another job" in failure("render", job, "--out", out, "--set", "seed=1", *FAKE)
 
-    done = synthgen("render", job, "--out", out, "--workers", "2", *FAKE)
+    done = synthgen("render", job, "--out", out, "--workers", "2", "--time-limit", "90", *FAKE)
     assert done.returncode == 0, done.stderr
     assert "the dataset is complete" in done.stdout
     assert "15 of 15 frames" in synthgen("status", out).stdout
@@ -276,4 +276,5 @@ def test_errors_of_a_process_are_one_line(tmp_path: Path) -> None:
 def test_usage_errors_exit_with_2(synthgen: Synthgen, job: Path) -> None:
     assert synthgen("render", job).returncode == 2
     assert synthgen("render", job, "--out", "x", "--workers", "0").returncode == 2
+    assert synthgen("render", job, "--out", "x", "--time-limit", "0").returncode == 2
     assert synthgen("dance").returncode == 2

@@ -2,26 +2,35 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import fake_renderer
+import numpy as np
 import pytest
+from rich.progress import Progress
 
+from assets_procedural import panorama
 from synthgen import ledger, manifest, publish
 from synthgen.atomic import sha256
-from synthgen.farm import run
+from synthgen.farm import local, run, worker
 from synthgen.farm.local import render_job
+from synthgen.plan import subject_key
 from synthgen.verify import verify
 
 JOB = fake_renderer.small_job()
+ONE = fake_renderer.small_job(subsets={"multiview": JOB.subsets["multiview"].model_dump()})
+IDS = ["city", "night", "studio"]
 
 
 def render(out: Path, **options: Any) -> run.Summary:
@@ -250,6 +259,133 @@ def test_a_broken_set_up_does_not_quarantine_everybody(
         render(tmp_path / "out")
 
 
+def test_a_set_up_that_breaks_later_stops_and_quarantines_nobody(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    out = tmp_path / "out"
+    first, *others = [
+        subject_key(i) for s in publish.Plan(ONE, IDS).shards("multiview") for i in s.subjects
+    ]
+    monkeypatch.setenv("TROUBLE", json.dumps(dict.fromkeys(others, "raise")))
+    monkeypatch.setattr(run, "HOPELESS", 4)
+    with pytest.raises(ledger.StorageError, match="the last 4 attempts all failed"):
+        render(out, job=ONE, workers=1)
+    assert ledger.status(out).subsets[0].done == 1, first
+    assert [f["attempts"] for f in ledger.failures(out)] == [1, 1, 1, 1]
+
+
+def test_a_subject_may_take_as_long_as_its_frames_need(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    big = JOB.model_copy(update={"resolution": 512, "samples": 16})
+    assert run.time_allowed(big, 100) > 4 * 100 * 4 * 0.5 * 16
+    asked = []
+
+    def allowed(job: Any, frames: int) -> float:
+        asked.append(frames)
+        return 2.0
+
+    monkeypatch.setattr(run, "time_allowed", allowed)
+    monkeypatch.setenv("TROUBLE", json.dumps({"s000001": "hang once"}))
+    assert render(tmp_path / "out", job=ONE).complete
+    assert set(asked) == {4}
+
+
+def test_a_full_folder_is_told_from_a_failed_subject(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    orders = worker.Orders(JOB, tmp_path, "", "cpu", 1, tmp_path / "log")
+    error = RuntimeError("Error: could not write image")
+    assert worker._full_folder(orders, error) is None
+    assert worker._full_folder(orders, OSError(errno.EDQUOT, "quota")) == tmp_path
+    temporary = Path(tempfile.gettempdir())
+    for folder in (tmp_path, temporary):
+        usage = {tmp_path: 10**12, temporary: 10**12} | {folder: 10**7}
+        free = {k: SimpleNamespace(free=v) for k, v in usage.items()}
+        monkeypatch.setattr(worker.shutil, "disk_usage", free.__getitem__)
+        assert worker._full_folder(orders, error) == folder
+
+
+def test_a_worker_that_dies_while_idle_costs_nobody(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    give, calls = run.Slot.give, []
+
+    def broken(slot: run.Slot, task: run.Task) -> None:
+        calls.append(task)
+        if len(calls) == 2:
+            slot.process.kill()
+            slot.task = task
+            raise BrokenPipeError
+        give(slot, task)
+
+    monkeypatch.setattr(run.Slot, "give", broken)
+    summary = render(tmp_path / "out", job=ONE, workers=1)
+    assert (summary.complete, summary.failed) == (True, [])
+
+
+def test_what_is_done_has_no_failure(tmp_path: Path):
+    out = tmp_path / "out"
+    job = ONE.model_copy(update={"shard_subjects": 5})
+    render(out, job=job, limit=1)
+    key = next(out.glob("work/multiview/*.json")).stem
+    ledger.record_failure(out, "multiview", key, "crashed", "log")
+    the_plan = publish.stored_plan(out)
+    a_run = run.Run(the_plan, worker.Orders(job, out, "", "cpu", 1, out), (1, 1), 1, None, 20)
+    shard = next(s for s in a_run.shards if int(key[1:]) in s.subjects)
+    a_run.missing[shard.name] = {int(key[1:]), 99}
+    task = run.Task(shard, the_plan.subject("multiview", int(key[1:])))
+    slot: Any = SimpleNamespace(task=task, number=0, kill=lambda: None)
+    a_run.slots[0] = slot
+    a_run._lose(slot, "crashed")
+    assert ledger.failures(out) == []
+    ledger.record_failure(out, "multiview", key, "crashed", "log")
+    summary = render(out, job=job)
+    assert (summary.complete, summary.failed, summary.rendered) == (True, [], 4)
+
+
+def test_killed_while_failures_are_forgiven(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    out = tmp_path / "out"
+    monkeypatch.setenv("TROUBLE", json.dumps({"s000001": "raise"}))
+    assert render(out, job=ONE).complete
+    monkeypatch.delenv("TROUBLE")
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(run, "unpack_shard", lambda *_: signal.raise_signal(signal.SIGINT))
+        render(out, job=ONE, retry_failed=True)
+    assert [f["key"] for f in ledger.failures(out)] == ["s000001"]
+    assert render(out, job=ONE, retry_failed=True).rendered == 1
+    assert ledger.status(out).subsets[0].done == 5
+    assert verify(out) == []
+
+
+def test_temporary_files_of_a_killed_process_are_removed(tmp_path: Path):
+    out = tmp_path / "out"
+    (out / "work" / "locks").mkdir(parents=True)
+    (out / ".dataset.json.123.tmp").touch()
+    assert not render(out, job=ONE, limit=1).complete
+    left = [
+        *("README.md", "manifest/multiview.parquet", "environments/city.exr"),
+        *("ledger/multiview/train-000000.json", "ledger/failed/multiview/s000001.json"),
+    ]
+    for path in (out / name for name in left):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.with_name(f".{path.name}.123.tmp").touch()
+    foreign = out / "ledger" / "multiview" / ".train-000099.json.123.tmp"  # another slice's
+    foreign.touch()
+    assert render(out, job=ONE).complete
+    assert list(out.rglob("*.tmp")) == [foreign]
+
+
+def test_workers_default_to_the_cores_allowed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(local.calibration, "cores", lambda: 6)
+    seen = []
+    monkeypatch.setattr(
+        local.Run, "go", lambda self, *_: seen.append(self.workers) or run.Summary()
+    )
+    render(tmp_path / "out", workers=None, threads=2)
+    assert seen == [3]
+
+
 # ---------------------------------------------------------------- refusals
 
 
@@ -268,6 +404,48 @@ def test_foreign_folders_are_refused(tmp_path: Path):
         render(tmp_path)
     with pytest.raises(ledger.StorageError, match="is a file"):
         render(tmp_path / "thesis.tex")
+    own = tmp_path / "own"
+    (own / "work").mkdir(parents=True)
+    (own / "work" / "thesis.tex").touch()
+    with pytest.raises(ledger.StorageError, match=r"holds other files \(work/thesis.tex"):
+        render(own)
+    assert [p.name for p in own.rglob("*")] == ["work", "thesis.tex"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["own", "thesis.tex"]
+
+
+def test_another_panorama_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    mine, out = tmp_path / "mine", tmp_path / "out"
+    mine.mkdir()
+    for name in "abcd":
+        panorama.write(mine / f"{name}.exr", np.full((8, 16, 3), 0.5), {})
+    job = fake_renderer.small_job(environments={"bundled": [], "folder": mine})
+    shown: list[str] = []
+    track = Progress.track
+
+    def noted(bar: Progress, items: Any, **options: Any) -> Any:
+        shown.extend(spec.id for spec in items)
+        return track(bar, items, **options)
+
+    monkeypatch.setattr(Progress, "track", noted)
+    render(out, job=job, limit=1)
+    assert shown == ["user_a", "user_b", "user_c", "user_d"]
+    entries = ledger.read_dataset_json(out)["environments"]
+    assert entries[1]["sha256"] == sha256(mine / "b.exr")
+    stored = sha256(out / "environments" / "user_b.exr")
+    panorama.write(mine / "b.exr", np.full((8, 16, 3), 0.7), {})
+    with pytest.raises(ledger.StorageError, match=r"environment user_b has another content") as e:
+        render(out, job=job)
+    assert "\n" not in str(e.value)
+    assert sha256(out / "environments" / "user_b.exr") == stored
+    panorama.write(mine / "b.exr", np.full((8, 16, 3), 0.5), {})
+    (out / "environments" / "user_a.exr").write_bytes(b"as it was rendered with")
+    (out / "environments" / "user_b.exr").unlink()
+    render(out, job=job, limit=1)
+    assert (out / "environments" / "user_a.exr").read_bytes() == b"as it was rendered with"
+    assert sha256(out / "environments" / "user_b.exr") == stored
+    (mine / "d.exr").unlink()
+    with pytest.raises(ledger.StorageError, match=r"environment user_d is missing here"):
+        render(out, job=job)
 
 
 def test_two_runs_of_a_slice_are_refused(tmp_path: Path):

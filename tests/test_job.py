@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import errno
+import os
+import re
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import OpenEXR
 import pytest
 from PIL import Image
 
-from synthgen import preflight
+from synthgen import ledger, preflight
 from synthgen.errors import JobError
 from synthgen.job import JobSpec, load_job
+from synthgen.plan import subject_key
 
 JOBS = Path(__file__).parent.parent / "render_jobs"
 GOOD = """
@@ -103,7 +109,24 @@ BAD_VALUES = [
     ('environments.bundled=["city", "city"]', "names a panorama twice"),
     ("environments.skies=0", "environments: no environment: set bundled, folder, skies or studios"),
     ("environments.folder=3", 'environments.folder = 3: give a text in "quotes"'),
-    ("environments.exposure=[-20, 0]", "must lie within [-8, 8] stops"),
+    ("environments.exposure=[-20, 0]", "must lie within [-4, 4] stops"),
+    (
+        "camera.focal_mm=[10, 50]",
+        "camera: focal_mm = 10 with fill = 0.6 puts the camera 0.12 m from the head, not 0.3 to 30;"
+        " raise focal_mm or lower fill",
+    ),
+    (
+        "camera={focal_mm=[300, 800], fill=[0.1, 0.5]}",
+        "focal_mm = 800 with fill = 0.1 puts the camera 56 m from the head, not 0.3 to 30;"
+        " lower focal_mm or raise fill",
+    ),
+    (
+        "camera={focal_mm=[200, 200], fill=[0.5, 1.4]}",
+        "camera: fill = 1.4 with shift = 0.03 puts landmarks 0.98 of the frame from its middle,"
+        " more than 0.75; lower fill or shift",
+    ),
+    ("camera.shift=[-0.4, 0]", "camera: fill = 0.6 with shift = 0.4 puts landmarks 0.82"),
+    ("people.age=[8, 20]", "[8, 20] must lie within [16, 95] years"),
     ("splits={validation=0.6, test=0.6}", "splits: validation + test exceed 1; lower one"),
     ("subsets.multiview.environments=5", "environments = 5: the pool has only 3; lower it, or add"),
     ("samples", "--set: samples: write key=value, for example --set samples=8"),
@@ -265,6 +288,61 @@ def test_too_little_disk(tmp_path: Path) -> None:
     huge = load_job(JOBS / "paper.toml", ["resolution=4096", "subsets.multiview.views=1000"])
     with pytest.raises(JobError, match=r"too little disk: about .* GB needed, .* GB free"):
         preflight.check_disk(tmp_path / "new", huge)
+
+
+def needed(out: Path, job: JobSpec, **options: Any) -> float:
+    """What `check_disk` asks for on a full disk, in GB; 0 if nothing."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(preflight.shutil, "disk_usage", lambda path: SimpleNamespace(free=0))
+        try:
+            preflight.check_disk(out, job, **options)
+        except JobError as error:
+            return float(re.search(r"about (\S+) GB", str(error))[1])  # type: ignore[index]
+    return 0.0
+
+
+def test_disk_for_a_slice_counts_what_is_missing_of_it(tmp_path: Path) -> None:
+    multiview = "subsets.multiview={kind='multiview', subjects=8, environments=2, views=1000}"
+    job = load_job(write(tmp_path, GOOD), [multiview, "resolution=4096", "shard_subjects=2"])
+    out = tmp_path / "out"
+    whole = needed(out, job)
+    assert whole > 1000
+    assert needed(out, job, slice_=(1, 1)) == whole
+    assert needed(out, job, limit=2) == needed(out, job, slice_=(1, 1), limit=2)
+    assert needed(out, job, limit=2) == pytest.approx(whole / 4, abs=0.2)
+    halves = [needed(out, job, slice_=(i, 2)) for i in (1, 2)]
+    assert sum(halves) == pytest.approx(whole, abs=0.2)
+    # A subject of the first slice is done: the second slice needs no less for it.
+    shards = preflight.make_plan(job, "")[0].shards("multiview")
+    done = ledger.work_file(out, "multiview", subject_key(shards[0].subjects[0]), ".json")
+    done.parent.mkdir(parents=True)
+    done.touch()
+    assert needed(out, job, slice_=(1, 2)) == pytest.approx(halves[0] - whole / 8, abs=0.2)
+    assert needed(out, job, slice_=(2, 2)) == halves[1]
+
+
+def refuse(path: object) -> None:
+    raise PermissionError(errno.EACCES, "Permission denied", str(path))
+
+
+def test_output_below_a_folder_that_may_not_be_entered(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stat = os.stat
+    monkeypatch.setattr(
+        preflight.os,
+        "stat",
+        lambda p, **o: refuse(p) if "shut" in Path(p).parts[:-1] else stat(p, **o),
+    )
+    monkeypatch.setattr(preflight.os, "access", lambda path, mode: path.name != "shut")
+    (tmp_path / "shut").mkdir()
+    assert f"{tmp_path / 'shut'} is not writable" in output_message(tmp_path / "shut" / "out")
+
+
+def test_unreadable_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "hdris").mkdir()
+    monkeypatch.setattr(Path, "iterdir", refuse)
+    assert "cannot be read (Permission denied); change its rights" in folder_message(tmp_path)
 
 
 def test_unknown_device() -> None:

@@ -159,7 +159,7 @@ def test_beards_are_for_adult_men(crowd: list[Person]) -> None:
     assert len(bearded) > 250
     assert all(is_male(p) for p in bearded)
     assert {p.beard.style for p in bearded} == {"stubble", "moustache", "goatee", "full"}
-    assert all(p.beard.style == "none" for p in people(60, age=(6, 17.5), beard=1))
+    assert all(p.beard.style == "none" for p in people(60, age=(16, 17.5), beard=1))
     assert all(p.beard.style != "none" for p in people(40, male=1, beard=1))
 
 
@@ -194,7 +194,7 @@ def test_changing_one_setting_keeps_the_face() -> None:
     ("settings", "message"),
     [
         ({"age": [50, 20]}, "low <= high"),
-        ({"age": [0, 20]}, r"within \[5, 95\] years"),
+        ({"age": [10, 20]}, r"within \[16, 95\] years"),
         ({"male": 2}, "less than or equal to 1"),
         ({"hair_styles": []}, "empty"),
         ({"hair_styles": ["mohawk"]}, "buzz"),

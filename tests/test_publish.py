@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import fake_renderer
@@ -94,3 +95,28 @@ def test_an_unfinished_dataset_has_no_card(tmp_path: Path):
     assert not summary.complete
     assert not (tmp_path / "out" / "README.md").exists()
     assert not publish.complete(tmp_path / "out")
+
+
+def test_another_version_may_not_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    out = tmp_path / "out"
+    code = {"package": "synthgen", "version": "1.0", "commit": "abc-dirty"}
+    monkeypatch.setattr(publish, "code_version", lambda: code)
+    assert not render_job(JOB, out, workers=1, renderer=fake_renderer.RENDERER, limit=1).complete
+    assert render_job(JOB, out, workers=1, renderer=fake_renderer.RENDERER, limit=1).rendered == 1
+    monkeypatch.setattr(publish, "code_version", lambda: code | {"commit": "def"})
+    with pytest.raises(ledger.StorageError) as error:
+        render_job(JOB, out, workers=1, renderer=fake_renderer.RENDERER)
+    assert "begun by synthgen 1.0 (abc-dirty), this is 1.0 (def)" in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_another_version_may_open_but_not_add_to_what_is_complete(out: Path, tmp_path: Path):
+    copy = tmp_path / "copy"
+    shutil.copytree(out, copy)
+    info = ledger.read_dataset_json(copy)
+    info["code"] = {"package": "synthgen", "version": "0.0"}
+    (copy / "dataset.json").write_text(json.dumps(info))
+    assert render_job(JOB, copy, renderer=fake_renderer.RENDERER).rendered == 0
+    next((copy / "data").rglob("*.tar")).unlink()
+    with pytest.raises(ledger.StorageError, match=r"begun by synthgen 0.0, this is "):
+        render_job(JOB, copy, renderer=fake_renderer.RENDERER)

@@ -163,6 +163,7 @@ DAMAGE = {
     "geometry has no landmarks_canonical": lambda s: s.geometry.pop("landmarks_canonical"),
     "meta has 1 exposures for 2": lambda s: s.meta["exposures"].pop(),
     "not all finite and positive": lambda s: s.meta["exposures"].__setitem__(1, 0.0),
+    "geometry has no control points": lambda s: s.geometry.pop("control_normals"),
     "geometry has joints": lambda s: s.meta["joints"].append("nose"),
     "alpha and parts overlap": lambda s: s.alpha.fill(255),
 }

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import dataclasses
 import io
 import json
 import shutil
@@ -16,6 +18,8 @@ import pytest
 from assets_procedural.motion import ARKIT_NAMES
 from synthgen import ledger, manifest
 from synthgen.atomic import sha256
+from synthgen.dataset import open_dataset
+from synthgen.rerender import Difference, compare
 from synthgen.shards import decode, encode, tar_entry
 from synthgen.verify import verify
 
@@ -29,7 +33,7 @@ def out(small_dataset: Path, tmp_path: Path) -> Path:
     return tmp_path / "out"
 
 
-def edit_json(path: Path, change: Callable[[dict], None]) -> None:
+def edit_json(path: Path, change: Callable[[dict], object]) -> None:
     data = json.loads(path.read_bytes())
     change(data)
     path.write_text(json.dumps(data))
@@ -52,9 +56,11 @@ def rewrite(out: Path, change: Callable[[dict[str, bytes]], dict[str, bytes]], s
         edit_json(record, lambda r: r.update(seals))
 
 
-def edit_parquet(path: Path, sql: str) -> None:
+def edit_parquet(path: Path, sql: str, more: str = "") -> None:
+    """Keep `SELECT {sql}` of a table, and add the rows of the query `more` over it."""
     other = path.with_suffix(".new")
-    duckdb.sql(f"COPY (SELECT {sql} FROM '{path}') TO '{other}' (FORMAT parquet)")
+    added = f"UNION ALL {more} FROM '{path}'" if more else ""
+    duckdb.sql(f"COPY (SELECT {sql} FROM '{path}' {added}) TO '{other}' (FORMAT parquet)")
     other.replace(path)
 
 
@@ -86,10 +92,10 @@ def truncate(path: Path, by: int) -> None:
     path.write_bytes(path.read_bytes()[:-by])
 
 
-def forge_manifest(out: Path, sql: str) -> None:
+def forge_manifest(out: Path, sql: str, more: str = "") -> None:
     """An edit of the manifest with its checksum: the shards' content still gives it away."""
     path = out / "manifest/multiview.parquet"
-    edit_parquet(path, sql)
+    edit_parquet(path, sql, more)
     digest = sha256(path)
     edit_json(
         out / "dataset.json", lambda d: d["files"].update({"manifest/multiview.parquet": digest})
@@ -107,6 +113,30 @@ def brighter(shot) -> None:
 
 def other_person(shot) -> None:
     shot.meta["person"]["age_years"] += 3
+
+
+def without_meta(*names: str) -> Callable[[Path], object]:
+    """Sealed samples whose meta.json lacks an entry, given by the path of keys to it."""
+
+    def change(members: dict[str, bytes]) -> dict[str, bytes]:
+        meta = json.loads(members["meta.json"])
+        table = meta
+        for name in names[:-1]:
+            table = table[name]
+        del table[names[-1]]
+        return members | {"meta.json": json.dumps(meta).encode()}
+
+    return lambda out: rewrite(out, change, seal=True)
+
+
+def record_without(name: str) -> Callable[[Path], object]:
+    path = ("multiview", "train-000000")
+    return lambda out: edit_json(ledger.record_file(out, *path), lambda record: record.pop(name))
+
+
+def give_up(record: dict) -> None:
+    """As if a subject had failed, of which dataset.json knows nothing."""
+    record["failed"].append(record["subjects"].pop())
 
 
 DAMAGE: dict[str, tuple[Callable[[Path], object], str]] = {
@@ -138,7 +168,7 @@ DAMAGE: dict[str, tuple[Callable[[Path], object], str]] = {
     ),
     "other exposures": (
         lambda o: rewrite(o, change_shot(brighter), seal=True),
-        "the manifest's exposures is",
+        "levels off its linear light",
     ),
     "edited manifest": (
         lambda o: edit_parquet(o / "manifest/multiview.parquet", "* REPLACE (0 AS pose)"),
@@ -203,6 +233,65 @@ DAMAGE: dict[str, tuple[Callable[[Path], object], str]] = {
         lambda o: shutil.copy(o / "data/multiview/train-000001.tar", o / TAR),
         "multiview/train-000000.tar",
     ),
+    "no pose of the camera": (
+        without_meta("camera", "camera_to_world"),
+        f"{TAR}: s000000_p00: cannot be checked (KeyError: 'camera_to_world')",
+    ),
+    "no seeds": (without_meta("seeds"), "seeds in meta.json is not what the job plans"),
+    "no expression": (without_meta("expression"), "cannot be checked (KeyError: 'expression')"),
+    "no exposures": (without_meta("exposures"), "meta has 0 exposures for 2"),
+    "record without subjects": (
+        record_without("subjects"),
+        f"{TAR}: cannot be checked (KeyError: 'subjects')",
+    ),
+    "record without checksum": (record_without("sha256"), f"{TAR}: cannot be checked"),
+    "record that is a list": (
+        lambda o: ledger.record_file(o, "multiview", "train-000000").write_text("[]"),
+        f"{TAR}: cannot be checked",
+    ),
+    "dataset.json without a version": (
+        lambda o: edit_json(o / "dataset.json", lambda d: (d.pop("code"), d.update(counts=[]))),
+        "dataset.json: cannot be checked",
+    ),
+    "dataset.json with other panoramas": (
+        lambda o: edit_json(o / "dataset.json", lambda d: d.update(environments=["city"])),
+        "dataset.json: unusable",
+    ),
+    "manifest without a column": (
+        lambda o: forge_manifest(o, "* EXCLUDE (camera_yaw)"),
+        "manifest/multiview.parquet: lacks the columns camera_yaw",
+    ),
+    "manifest without a figure of the gate": (
+        lambda o: forge_manifest(o, "* EXCLUDE (quality_mask_fraction)"),
+        "the manifest's quality_mask_fraction is None",
+    ),
+    "manifest without keys": (
+        lambda o: forge_manifest(o, "* EXCLUDE (key)"),
+        "manifest/multiview.parquet: cannot be checked",
+    ),
+    "manifest with rows of an unknown shard": (
+        lambda o: forge_manifest(o, "*", "SELECT * REPLACE ('x' || key AS key, 'y' AS shard)"),
+        "rows of y, a shard that is not there",
+    ),
+    "manifest with repeated rows": (
+        lambda o: forge_manifest(o, "*", "SELECT *"),
+        "rows repeat the key of another",
+    ),
+    "unknown file": (
+        lambda o: (o / "data/notes.txt").write_text("?"),
+        "data/notes.txt: a file that the job does not have",
+    ),
+    "failed subject that is not quarantined": (
+        lambda o: edit_json(ledger.record_file(o, "multiview", "train-000000"), give_up),
+        "dataset.json: quarantined lacks multiview/s00000",
+    ),
+    "quarantined subject that is there": (
+        lambda o: edit_json(
+            o / "dataset.json",
+            lambda d: d["quarantined"].append({"subset": "video", "key": "s000000"}),
+        ),
+        "dataset.json: quarantined names video/s000000",
+    ),
 }
 
 
@@ -234,6 +323,26 @@ def test_large_datasets_are_checked_by_processes(
 ):
     monkeypatch.setattr("synthgen.verify.PARALLEL_BYTES", 0)
     assert verify(small_dataset, workers=2) == []
+
+
+def test_rerender_compares_every_field(small_dataset: Path):
+    stored = open_dataset(small_dataset, subset="multiview")[0]
+
+    def differing(**changes: object) -> dict[str, Difference]:
+        again = dataclasses.replace(copy.deepcopy(stored), **changes)
+        fields = compare(stored, again).fields
+        assert {f"meta {name}" for name in stored.meta} <= fields.keys()
+        return {name: d for name, d in fields.items() if d.share}
+
+    assert differing() == {}
+    assert differing(meta=stored.meta | {"joints": ("head",)}) == {}
+    assert differing(meta=stored.meta | {"joints": ["neck"]}).keys() == {"meta joints"}
+    other = differing(meta=stored.meta | {"head": {**stored.meta["head"], "yaw": 9.0}})
+    assert other["meta head"].largest > 5
+    assert differing(meta=stored.meta | {"new": 1}).keys() == {"meta new"}
+    assert differing(hdr=None).keys() == {"hdr_00", "hdr_01"}
+    assert differing(rgb=stored.rgb[:1]).keys() == {"rgb_01"}
+    assert differing(geometry=stored.geometry | {"more": np.zeros(2)}).keys() == {"geometry more"}
 
 
 def test_no_dataset_is_one_line(tmp_path: Path):

@@ -130,15 +130,25 @@ def _moved(row: dict[str, Any], shard: str, by: int) -> dict[str, Any]:
 
 
 def clean_temporary(out: Path, shards: list[ShardPlan]) -> None:
-    """Remove what killed processes of this slice left under temporary names."""
+    """Remove what killed processes of this slice left under temporary names.
+
+    Other slices may be writing beside it, so that only its own names are touched.
+    """
     mine = {s.name for s in shards}
     own = {(s.subset, subject_key(i)) for s in shards for i in s.subjects}
     for subset in {s.subset for s in shards}:
-        for folder in ("data", "work", "subjects"):
+        for folder in ("data", "work", "subjects", "ledger", "ledger/failed"):
             for path in (out / folder / subset).glob(".*.tmp"):
                 stem = path.name[1:].split(".", 1)[0]
                 if f"{subset}/{stem}.tar" in mine or (subset, stem) in own:
                     path.unlink(missing_ok=True)
+
+
+def clean_shared(out: Path) -> None:
+    """The same for what is written by whoever holds `ledger.door`; only for its holder."""
+    for folder in (out, out / "manifest", out / "environments"):
+        for path in folder.glob(".*.[0-9]*.tmp"):
+            path.unlink(missing_ok=True)
 
 
 def frames_done(out: Path, the_plan: Plan, shards: list[ShardPlan]) -> int:

@@ -8,25 +8,25 @@ shard when the last of its subjects is done. All state that matters is on disk (
 from __future__ import annotations
 
 import contextlib
-import os
 import shutil
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from assets_procedural.environment import pool, write_pool
-from synthgen import ledger, publish
+from assets_procedural.environment import pool, provenance, write_pool
+from synthgen import calibration, console, ledger, publish
 from synthgen.farm import DEFAULT_RENDERER
+from synthgen.farm.commit import clean_shared
 from synthgen.farm.run import Run, Summary, full
 from synthgen.farm.worker import Orders, is_disk_full
 from synthgen.plan import Plan
 
 if TYPE_CHECKING:
+    from assets_procedural.environment import EnvironmentSpec
     from synthgen.job import JobSpec
 
-TIME_LIMIT = 1800.0
 SUBJECTS_PER_WORKER = 20
 
 
@@ -40,34 +40,36 @@ def render_job(
     limit: int | None = None,
     renderer: str = DEFAULT_RENDERER,
     retry_failed: bool = False,
-    time_limit: float = TIME_LIMIT,
+    time_limit: float | None = None,
     subjects_per_worker: int = SUBJECTS_PER_WORKER,
 ) -> Summary:
     """Render what is missing of a dataset: the whole job, or slice `shard` = (i, n), 1 <= i <= n.
 
     `workers` defaults to the number of cores / `threads`. `limit` bounds the subjects that this
-    call renders. A subject may take `time_limit` seconds, is tried `ledger.ATTEMPTS` times, and
-    then left out; `retry_failed` gives such subjects another chance.
+    call renders. A subject may take `time_limit` seconds, by default by far more than it needs
+    (`run.time_allowed`); it is tried `ledger.ATTEMPTS` times, and then left out; `retry_failed`
+    gives such subjects another chance.
 
-    Raises `StorageError` with one line if the folder holds another job, the slice is being
-    rendered already, the disk is full, or the renderer cannot start; `KeyboardInterrupt` after
-    Ctrl-C or SIGTERM, with everything put away.
+    Raises `StorageError` with one line if the folder cannot be used for this job (see
+    `publish.check`; it is left untouched), the slice is being rendered already, the disk is full,
+    or the renderer cannot start; `KeyboardInterrupt` after Ctrl-C or SIGTERM, with everything put
+    away.
     """
     index, count = shard
     if not 1 <= index <= count:
         raise ValueError(f"slice {index}/{count}: must be i/n with 1 <= i <= n")
     out = Path(out)
-    workers = workers or max(1, (os.cpu_count() or 1) // threads)
+    workers = workers or max(1, calibration.cores() // threads)
     specs = pool(job.environments, job.seed)
     the_plan = Plan(job, [spec.id for spec in specs])
     with _interruptible(), _one_line_iffull(out):
-        if out.exists() and not out.is_dir():
-            raise ledger.StorageError(f"{out}: is a file; give a folder that --out may fill")
+        origins = [provenance(spec) for spec in specs]
+        publish.check(out, the_plan, origins, renderer)
         with ledger.slice_lock(out, shard):
             with ledger.door(out):
-                provenance = [spec.model_dump(mode="json") for spec in specs]
-                publish.begin(out, the_plan, provenance, renderer)
-                write_pool(specs, out / "environments")
+                publish.begin(out, the_plan, origins, renderer)
+                clean_shared(out)
+                _write_panoramas(out, specs)
             (out / "work" / "logs").mkdir(parents=True, exist_ok=True)
             orders = Orders(job, out, renderer, device, threads, Path())
             run = Run(the_plan, orders, shard, workers, time_limit, subjects_per_worker)
@@ -77,6 +79,16 @@ def render_job(
             if summary.complete and not ledger.failures(out):
                 shutil.rmtree(out / "work", ignore_errors=True)
     return summary
+
+
+def _write_panoramas(out: Path, specs: Sequence[EnvironmentSpec]) -> None:
+    """Store the panoramas; those that something was rendered with already stay as they are."""
+    folder = out / "environments"
+    if ledger.has_records(out):
+        specs = [spec for spec in specs if not (folder / f"{spec.id}.exr").exists()]
+    if specs:
+        with console.progress() as bar:
+            write_pool(bar.track(specs, description="storing panoramas"), folder)
 
 
 @contextlib.contextmanager

@@ -49,7 +49,7 @@ def bar(run: Run) -> Iterator[Callable[[], None]]:
             if done:
                 left = (total - before - done) * elapsed / done
                 text = f"{done / elapsed:.2f} frames/s, {console.duration(left)} left"
-            bad = len(ledger.failures(run.out)) if run.failures_in_a_row else 0
+            bad = len(ledger.failures(run.out)) if run.streak else 0
             text += f", {bad} failed" if bad else ""
             shown.update(task, completed=before + done, note=text)
 

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from multiprocessing import connection
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from synthgen import ledger, publish
 from synthgen.farm import progress
@@ -20,8 +20,12 @@ from synthgen.farm.slot import Slot, Task
 from synthgen.farm.worker import Orders
 from synthgen.plan import Plan, ShardPlan, subject_key
 
+if TYPE_CHECKING:
+    from synthgen.job import JobSpec
+
 START_LIMIT = 600.0
-# So many failures in a row, without one success, mean that the set-up is broken, not the subjects.
+# So many subjects failing in a row, or so many attempts before the first success, mean that the
+# set-up is broken, not the subjects.
 HOPELESS = 12
 
 
@@ -32,9 +36,16 @@ class Summary:
     rendered: int = 0
     frames: int = 0
     seconds: float = 0.0
-    shards: int = 0
     failed: list[dict[str, Any]] = field(default_factory=list)
     complete: bool = False
+
+
+def time_allowed(job: JobSpec, frames: int) -> float:
+    """Seconds after which a subject of so many frames counts as hung: several times its need.
+
+    One thread takes about 0.5 s per sample of a frame of 256 x 256 pixels.
+    """
+    return 600.0 + frames * (job.resolution / 256) ** 2 * (10.0 + 3.0 * job.samples)
 
 
 class Run:
@@ -46,7 +57,7 @@ class Run:
         orders: Orders,
         shard: tuple[int, int],
         workers: int,
-        time_limit: float,
+        time_limit: float | None,
         subjects_per_worker: int,
     ) -> None:
         self.plan, self.orders, self.out = the_plan, orders, orders.out
@@ -59,7 +70,7 @@ class Run:
         self.retries: deque[Task] = deque()
         self.slots: dict[int, Slot] = {}
         self.summary = Summary()
-        self.failures_in_a_row = 0
+        self.streak: list[tuple[str, str]] = []  # subjects of the failures since a success
         self.started = time.time()
 
     def go(self, limit: int | None, retry_failed: bool) -> Summary:
@@ -73,10 +84,15 @@ class Run:
             with progress.bar(self) as advance:
                 while True:
                     while sum(s.task is not None for s in self.slots.values()) < self.workers:
-                        task = self.retries.popleft() if self.retries else None
-                        if task is None and (limit is None or handed < limit):
+                        # After a failure another subject first: if it fails too, it may be the
+                        # machine, and nobody should use up his attempts on that.
+                        task = None
+                        new = limit is None or handed < limit
+                        if new and (self.streak or not self.retries):
                             task = next(tasks, None)
                             handed += task is not None
+                        if task is None and self.retries:
+                            task = self.retries.popleft()
                         if task is None:
                             break
                         self._hand_out(task)
@@ -100,20 +116,26 @@ class Run:
 
     def _tasks(self) -> Iterator[Task]:
         """Subjects still to render, in order; commits shards that need no rendering on the way."""
+        reopened = False
         for shard in self.shards:
             stem = Path(shard.name).stem
             if ledger.shard_record(self.out, shard.subset, stem) is not None:
                 self._tidy(shard)
                 continue
-            left = {
-                index
-                for index in shard.subjects
-                if not ledger.subject_done(self.out, shard.subset, subject_key(index))
-                and not ledger.quarantined(self.out, shard.subset, subject_key(index))
-            }
+            left = set()
+            for index in shard.subjects:
+                key = subject_key(index)
+                if ledger.subject_done(self.out, shard.subset, key):
+                    ledger.forget_failure(self.out, shard.subset, key)
+                elif not ledger.quarantined(self.out, shard.subset, key):
+                    left.add(index)
             self.missing[shard.name] = left
             if not left:
                 self._commit(shard)
+            elif not reopened:  # a complete dataset may have lost a shard
+                with ledger.door(self.out):
+                    publish.reopen(self.out)
+                reopened = True
             for index in sorted(left):
                 yield Task(shard, self.plan.subject(shard.subset, index))
 
@@ -122,12 +144,12 @@ class Run:
         failed = {(f["subset"], f["key"]) for f in ledger.failures(self.out)}
         for shard in self.shards:
             keys = [k for i in shard.subjects if (shard.subset, k := subject_key(i)) in failed]
-            for key in keys:
-                ledger.forget_failure(self.out, shard.subset, key)
             if keys and ledger.shard_record(self.out, shard.subset, Path(shard.name).stem):
                 with ledger.door(self.out):
                     publish.reopen(self.out)
                 unpack_shard(self.out, shard)
+            for key in keys:  # last: a shard without them and without their failures loses them
+                ledger.forget_failure(self.out, shard.subset, key)
 
     # ------------------------------------------------------------ workers
 
@@ -144,7 +166,11 @@ class Run:
             log = self.out / "work" / "logs" / f"{self.slice}-worker-{number}.log"
             self.slots[number] = Slot(dataclasses.replace(self.orders, log=log), number)
             idle = [number]
-        self.slots[idle[0]].give(task)
+        slot = self.slots[idle[0]]
+        try:
+            slot.give(task)
+        except OSError:  # it died a moment ago
+            self._lose_dead(slot)
 
     def _wait(self) -> None:
         """Block until a worker says something, dies or exceeds its time; act on it."""
@@ -155,9 +181,14 @@ class Run:
             self._listen(slot)
         now = time.monotonic()
         for slot in list(self.slots.values()):
-            allowed = self.time_limit if slot.ready else self.time_limit + START_LIMIT
-            if slot.task is not None and now - slot.since > allowed:
-                self._lose(slot, f"hung: killed after {now - slot.since:.0f} s")
+            if slot.task is None:
+                continue
+            allowed = self.time_limit
+            if allowed is None:
+                allowed = time_allowed(self.plan.job, slot.task.subject.frames)
+            allowed += 0.0 if slot.ready else START_LIMIT
+            if now - slot.since > allowed:
+                self._lose(slot, f"hung: killed after {now - slot.since:.0f} s (--time-limit)")
 
     def _listen(self, slot: Slot) -> None:
         try:
@@ -165,8 +196,7 @@ class Run:
         except (EOFError, OSError):
             message = None
         if message is None:
-            slot.process.join(5)
-            self._lose(slot, _death(slot.process.exitcode))
+            self._lose_dead(slot)
         elif message[0] == "ready":
             slot.ready, slot.since = True, time.monotonic()
         elif message[0] == "broken":
@@ -174,18 +204,22 @@ class Run:
                 f"{self.orders.renderer}: cannot start: {message[1]} (log: {slot.log})"
             )
         elif message[0] == "full":
-            raise ledger.StorageError(full(self.out))
+            raise ledger.StorageError(f"{full(message[1])} ({message[2]}; log: {slot.log})")
         elif message[0] == "failed":
             # Blender may be left in any state by an exception: go on with a fresh process.
             self._lose(slot, message[1])
         elif message[0] == "done" and slot.task is not None:
             task, slot.task = slot.task, None
             slot.served += 1
-            self.failures_in_a_row = 0
+            self.streak.clear()
             self.summary.rendered += 1
             self.summary.frames += task.subject.frames
             ledger.forget_failure(self.out, task.subject.subset, task.subject.key)
             self._finish(task)
+
+    def _lose_dead(self, slot: Slot) -> None:
+        slot.process.join(5)
+        self._lose(slot, _death(slot.process.exitcode))
 
     def _lose(self, slot: Slot, reason: str) -> None:
         """A worker is gone, and with it the attempt at its subject."""
@@ -196,14 +230,15 @@ class Run:
             return
         subset, key = task.subject.subset, task.subject.key
         if ledger.subject_done(self.out, subset, key):  # it died after its commit
+            ledger.forget_failure(self.out, subset, key)
             self._finish(task)
             return
         log = slot.log.relative_to(self.out).as_posix()
         attempts = ledger.record_failure(self.out, subset, key, reason, log)
-        self.failures_in_a_row += 1
-        if self.failures_in_a_row >= HOPELESS and not self.summary.rendered:
+        self.streak.append((subset, key))
+        if len(self.streak if not self.summary.rendered else set(self.streak)) >= HOPELESS:
             raise ledger.StorageError(
-                f"the first {self.failures_in_a_row} attempts all failed, the last with: {reason} "
+                f"the last {len(self.streak)} attempts all failed, the last with: {reason} "
                 f"(log: {slot.log}); mend it, then run again with --retry-failed"
             )
         if attempts < ledger.ATTEMPTS:
@@ -223,7 +258,6 @@ class Run:
         commit_shard(self.out, shard)
         del self.missing[shard.name]
         self._tidy(shard)
-        self.summary.shards += 1
 
     def _tidy(self, shard: ShardPlan) -> None:
         """Remove the work files of a committed shard."""
@@ -242,6 +276,6 @@ def _death(code: int | None) -> str:
     return f"crashed: worker ended with code {code}"
 
 
-def full(out: Path) -> str:
-    """The line that a user gets when the disk is full."""
-    return f"{out}: the disk is full; make room and run the same command to continue"
+def full(folder: Path) -> str:
+    """The line that a user gets when the disk of a folder is full."""
+    return f"{folder}: the disk is full; make room and run the same command to continue"

@@ -1,7 +1,7 @@
 """A spawned process that renders whole subjects and commits them as work files.
 
 Messages to the parent: ("ready",), ("broken", reason), ("done", seconds), ("failed", reason),
-("full", reason). The process ends by `os._exit`: Blender may hang at interpreter exit.
+("full", folder, reason). The process ends by `os._exit`: Blender may hang at interpreter exit.
 """
 
 from __future__ import annotations
@@ -12,8 +12,10 @@ import dataclasses
 import errno
 import importlib
 import os
+import shutil
 import signal
 import sys
+import tempfile
 import threading
 import time
 import traceback
@@ -28,6 +30,7 @@ from synthgen.plan import SubjectPlan
 from synthgen.shot import RenderedSubject
 
 DISK_FULL = (errno.ENOSPC, errno.EDQUOT)
+NEARLY_FULL = 16_000_000
 Renderer = Callable[[SubjectPlan, JobSpec, Path, str, int], RenderedSubject]
 
 
@@ -83,9 +86,25 @@ def _attempt(render: Renderer, orders: Orders, subject: SubjectPlan) -> tuple[An
         commit_subject(orders.out, subject, rendered, time.perf_counter() - start)
     except Exception as error:
         traceback.print_exc()
-        kind = "full" if is_disk_full(error) else "failed"
-        return kind, reason_of(error)
+        folder = _full_folder(orders, error)
+        if folder is not None:
+            return "full", folder, reason_of(error)
+        return "failed", reason_of(error)
     return "done", time.perf_counter() - start
+
+
+def _full_folder(orders: Orders, error: Exception) -> Path | None:
+    """The folder without room that `error` comes from, if it does.
+
+    Blender reports a full disk as a RuntimeError, and what it wrote to the temporary folder, some
+    140 bytes per pixel, is removed before the error arrives here.
+    """
+    needed = NEARLY_FULL + 256 * orders.job.resolution**2
+    for folder in (orders.out, Path(tempfile.gettempdir())):
+        with contextlib.suppress(OSError):
+            if shutil.disk_usage(folder).free < needed:
+                return folder
+    return orders.out if is_disk_full(error) else None
 
 
 def reason_of(error: BaseException) -> str:
