@@ -7,7 +7,6 @@ Frame: metres, Z up, the head looks along -Y, the subject's left is +X.
 from __future__ import annotations
 
 import fcntl
-import os
 import subprocess
 import sys
 from dataclasses import dataclass
@@ -19,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
+from assets_procedural.cache import cache_folder
 from assets_procedural.distill import BONES
 from assets_procedural.motion import Pose, lid_following
 from assets_procedural.person import Person
@@ -41,11 +41,6 @@ _PHENOTYPE_ANCHORS = {
     "firmness": ("minfirmness", "averagefirmness", "maxfirmness"),
 }
 FORMAT = 3
-
-
-def cache_folder() -> Path:
-    """Where the distilled head and calibrations are kept: $SYNTHGEN_CACHE or ~/.cache/synthgen."""
-    return Path(os.environ.get("SYNTHGEN_CACHE", Path.home() / ".cache" / "synthgen"))
 
 
 def head_file() -> Path:

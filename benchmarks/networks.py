@@ -15,7 +15,7 @@ import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
-from assets_procedural.head import cache_folder
+from assets_procedural.cache import cache_folder
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
+from assets_procedural.cache import cache_folder
 from assets_procedural.person import Parameters
 from synthgen.job import JobSpec, SubsetSpec
 
@@ -81,8 +82,6 @@ def cores() -> int:
 
 def store() -> Path:
     """The file in which measurements are kept."""
-    from assets_procedural.head import cache_folder  # here: it imports scipy, which `plan` spares
-
     return cache_folder() / "calibration.json"
 
 
