@@ -7,6 +7,8 @@ towards the subject's left (+X). Everything is at infinity, as in any panorama.
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 from pydantic import Field
 
@@ -183,7 +185,9 @@ def blackbody(kelvin: float) -> np.ndarray:
 
     Planckian locus of Kang et al. (2002), 1667 to 25000 K.
     """
-    import colour  # here: it takes a second, and only studios need it
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # it misses plotting libraries that nobody needs here
+        import colour  # here: it takes a second, and only studios need it
 
     xyz = colour.xy_to_XYZ(colour.temperature.CCT_to_xy_Kang2002(kelvin))
     rgb = colour.XYZ_to_RGB(xyz, colour.RGB_COLOURSPACES["sRGB"])
