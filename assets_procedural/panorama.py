@@ -18,8 +18,10 @@ vector_type 'TEXTURE' with Rotation Z = rotation between 'Generated' and the Env
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -216,20 +218,42 @@ def write(path: Path, panorama: np.ndarray, header: dict[str, Any]) -> None:
     `header` goes into the file as string attributes, dicts and lists as JSON. Equal input gives
     equal bytes.
     """
-    import OpenEXR
-
     if panorama.ndim != 3 or panorama.shape[2] != 3 or panorama.shape[1] != 2 * panorama.shape[0]:
         raise ValueError(f"a panorama is (H, 2H, 3), not {panorama.shape}")
     precision = np.float16 if float(panorama.max()) <= HALF_MAX else np.float32
+    write_channels(path, {"RGB": panorama.astype(precision)}, header)
+
+
+def write_channels(path: Path, channels: dict[str, np.ndarray], header: dict[str, Any]) -> None:
+    """Store arrays of one height and width atomically as EXR (ZIP), in the precision they have.
+
+    An array (H, W) becomes the channel of its name; one (H, W, 3) the channels <name>.R, .G and .B,
+    or R, G and B if its name is "RGB". `header` as in `write`. Equal input gives equal bytes.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    import OpenEXR
+
     attributes: dict[str, Any] = {
         "compression": OpenEXR.ZIP_COMPRESSION,
         "type": OpenEXR.scanlineimage,
     }
     attributes |= encode_header(header)
-    data = np.ascontiguousarray(panorama.astype(precision))
+    data = {name: np.ascontiguousarray(pixels) for name, pixels in channels.items()}
+    with replacing(path) as temporary:
+        try:
+            OpenEXR.File(attributes, data).write(str(temporary))
+        except RuntimeError as error:
+            raise OSError(f"{path}: cannot be written ({error})") from None
+
+
+@contextlib.contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Where to write a file that then appears as `path` whole, or not at all."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
-        OpenEXR.File(attributes, {"RGB": data}).write(str(temporary))
+        yield temporary
         with open(temporary, "rb") as handle:
             os.fsync(handle.fileno())
         os.replace(temporary, path)

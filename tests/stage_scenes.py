@@ -1,8 +1,9 @@
-"""What `test_stage` asks of Blender; each function runs in a process of its own."""
+"""What `test_stage` and `test_ball` ask of Blender; each function runs in a process of its own."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,6 +13,9 @@ from assets_procedural.person import Beard, Hair, Person
 from synthgen.camera import CameraSample, resolve
 from synthgen.job import JobSpec, SubsetSpec
 from synthgen.plan import EnvironmentUse, ShotPlan, SubjectPlan
+
+if TYPE_CHECKING:
+    from synthgen.stage.nodes import Graph
 
 SIZE = 64
 
@@ -44,10 +48,7 @@ def write_gradient(folder: Path, name: str, tint: tuple[float, float, float]) ->
 
 def ball_under_a_spot(folder: Path, direction: np.ndarray, rotation: float) -> np.ndarray:
     """Where (3,), world, the light on a white ball comes from: one texel at `direction`, turned."""
-    import bpy
-
     from synthgen.stage import scene
-    from synthgen.stage.nodes import Graph
 
     sky = np.full((64, 128, 3), 1e-3, np.float32)
     distance = panorama.texel_directions(64) @ direction
@@ -55,13 +56,8 @@ def ball_under_a_spot(folder: Path, direction: np.ndarray, rotation: float) -> n
     panorama.write(folder / "spot.exr", sky, {})
 
     scene.open_stage(SIZE, 16, "cpu", 1)
-    bpy.ops.mesh.primitive_uv_sphere_add(segments=64, ring_count=32, radius=0.1)
-    ball = bpy.context.object
-    bpy.ops.object.shade_smooth()
-    material = bpy.data.materials.new("white")
-    graph = Graph(material)
+    graph = _add_ball(64)
     graph.output(graph.node("BsdfDiffuse", {"Color": (0.8, 0.8, 0.8)}).outputs[0])
-    ball.data.materials.append(material)
     camera = resolve(CameraSample(fill=0.8, focal_mm=200), np.zeros(3), 0.2, SIZE)
     scene.set_camera(camera)
     scene.set_mode("beauty", 16)
@@ -74,6 +70,100 @@ def ball_under_a_spot(folder: Path, direction: np.ndarray, rotation: float) -> n
     lit = (light > 0.2 * light.max()) & (side > 0.001)
     towards = np.linalg.lstsq(normal[lit], light[lit], rcond=None)[0]  # Lambert: light ~ n . l
     return towards / np.linalg.norm(towards)
+
+
+def matte_ball(
+    light: Path, rotation: float, colour: tuple[float, float, float], samples: int
+) -> np.ndarray:
+    """A Lambert ball of that colour as Cycles lights it: (SIZE, SIZE, 3), linear."""
+    from synthgen.stage import scene
+
+    scene.open_stage(SIZE, samples, "cpu", 1)
+    graph = _add_ball(256)
+    graph.output(graph.node("BsdfDiffuse", {"Color": colour}).outputs[0])
+    scene.set_light(light, rotation)
+    return _shoot_ball(samples)
+
+
+def phong_ball(light: Path, rotation: float, exponent: int, samples: int) -> np.ndarray:
+    """The normalised shading s_s(exponent) of a ball, integrated by Blender's nodes alone.
+
+    (SIZE, SIZE, 3), linear. Cycles has no Phong closure. So the ball emits what the environment
+    shows in random directions about the reflected viewing direction, of density (r.l)^exponent,
+    and the average over a pixel's samples is the integral.
+    """
+    import bpy
+
+    from synthgen.stage import scene
+
+    scene.open_stage(SIZE, samples, "cpu", 1)
+    graph = _add_ball(256)
+    surface = graph.node("NewGeometry").outputs
+    # White noise hashes the bits of the position, which differ from one sample to the next.
+    noise = graph.node("TexWhiteNoise", {"Vector": surface["Position"]}, noise_dimensions="3D")
+    random = graph.node("SeparateColor", {0: noise.outputs["Color"]}).outputs
+    view = graph.combine("MULTIPLY", surface["Incoming"], (-1.0, -1.0, -1.0))
+    axis = graph.combine("REFLECT", view, surface["Normal"])
+    side = graph.node(
+        "VectorMath",
+        {0: graph.combine("CROSS_PRODUCT", axis, (0.3, 0.5, 0.8))},
+        operation="NORMALIZE",
+    ).outputs["Vector"]
+    other = graph.combine("CROSS_PRODUCT", axis, side)
+    image = bpy.data.images.load(str(light))
+    image.colorspace_settings.name = "Linear Rec.709"
+    # Sixteen points that cover the square evenly, shifted at random, make less noise than one.
+    points = 16
+    total = (0.0, 0.0, 0.0)
+    for i in range(points):
+        first = graph.math("FRACT", graph.math("ADD", random[0], i / points))
+        second = graph.math("FRACT", graph.math("ADD", random[1], i * 0.618034))
+        cosine = graph.math("POWER", first, 1.0 / (exponent + 1))
+        square = graph.math("MULTIPLY", cosine, cosine)
+        sine = graph.math("SQRT", graph.math("SUBTRACT", 1.0, square))
+        angle = graph.math("MULTIPLY", second, 2.0 * np.pi)
+        direction = graph.combine("MULTIPLY", axis, cosine)
+        for along, turn in ((side, "COSINE"), (other, "SINE")):
+            share = graph.math("MULTIPLY", sine, graph.math(turn, angle))
+            direction = graph.combine("ADD", direction, graph.combine("MULTIPLY", along, share))
+        turned = graph.node("Mapping", {"Vector": direction}, vector_type="TEXTURE")
+        turned.inputs["Rotation"].default_value = (0.0, 0.0, rotation)
+        inputs = {"Vector": turned.outputs[0]}
+        texture = graph.node("TexEnvironment", inputs, image=image, interpolation="Cubic")
+        total = graph.combine("ADD", total, texture.outputs["Color"])
+    graph.output(graph.node("Emission", {"Color": total, "Strength": 1.0 / points}).outputs[0])
+    return _shoot_ball(samples)
+
+
+def _add_ball(segments: int) -> Graph:
+    """A smooth ball of radius 0.1 m at the origin; returns its material's graph, empty."""
+    import bpy
+
+    from synthgen.stage.nodes import Graph
+
+    bpy.ops.mesh.primitive_uv_sphere_add(segments=segments, ring_count=segments // 2, radius=0.1)
+    ball = bpy.context.object
+    bpy.ops.object.shade_smooth()
+    material = bpy.data.materials.new("ball")
+    ball.data.materials.append(material)
+    return Graph(material)
+
+
+def _shoot_ball(samples: int) -> np.ndarray:
+    """The ball fills the picture: seen along +Y, without perspective, through pixel centres."""
+    import bpy
+
+    from synthgen.stage import scene
+
+    viewer = bpy.context.scene.camera
+    viewer.matrix_world = np.array([[1, 0, 0, 0], [0, 0, -1, -1], [0, 1, 0, 0], [0, 0, 0, 1]]).T
+    viewer.data.type = "ORTHO"
+    viewer.data.ortho_scale = 0.2
+    scene.set_mode("beauty", samples)
+    settings = bpy.context.scene
+    settings.cycles.use_denoising = settings.render.use_compositing = False
+    settings.cycles.filter_width = 0.01
+    return scene.render_passes()["Combined"][..., :3]
 
 
 def bare_head(folder: Path) -> dict[str, np.ndarray]:

@@ -9,13 +9,15 @@ from pathlib import Path
 import pytest
 import typer
 
-from synthgen.cli import app
+from synthgen import cli as synthgen
 from synthgen.job import load_job
+from totalediting import cli as totalediting
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").glob("*.md"))]
 JOBS = sorted((ROOT / "render_jobs").glob("*.toml"))
-COMMAND = re.compile(r"`?(synthgen [a-z][^`\n#|]*)")
+APPS = {"synthgen": synthgen.app, "totalediting": totalediting.app}
+COMMAND = re.compile(rf"`?((?:{'|'.join(APPS)}) [a-z][^`\n#|]*)")
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
@@ -34,10 +36,10 @@ def test_pictures_are_small():
 
 @pytest.mark.parametrize("page", [*PAGES, *JOBS], ids=lambda p: p.name)
 def test_commands_exist_with_the_options_that_are_shown(page: Path):
-    commands = typer.main.get_command(app).commands  # pyright: ignore[reportAttributeAccessIssue]
     for line in COMMAND.findall(page.read_text()):
-        words = shlex.split(line.rstrip(".,;)"))[1:]
-        command = commands.get(words[0])
+        program, *words = shlex.split(line.rstrip(".,;)"))
+        group = typer.main.get_command(APPS[program])
+        command = group.commands.get(words[0])  # pyright: ignore[reportAttributeAccessIssue]
         assert command is not None, line
         known = {option for parameter in command.params for option in parameter.opts}
         assert {w.split("=")[0] for w in words if w.startswith("--")} <= known, line

@@ -1,0 +1,157 @@
+"""The command `totalediting`. Imports nothing heavy before a command runs: `--help` is quick."""
+
+from __future__ import annotations
+
+import math
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from totalediting.errors import InputError
+
+if TYPE_CHECKING:
+    import torch
+
+app = typer.Typer(
+    help="Edit portraits: appearance, motion and light of a head apart from each other.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+
+MAP_ROWS = (4, 512)
+
+
+def main() -> None:
+    """Entry point: like `app()`, but errors of the user's making are one line and exit code 2."""
+    try:
+        app()
+    except Exception as error:
+        if not isinstance(error, _user_errors()):
+            raise
+        from rich.console import Console
+        from rich.markup import escape
+
+        line = f"[bold red]error:[/] {escape(str(error))}"
+        Console(stderr=True, highlight=False).print(line, soft_wrap=True)
+        sys.exit(2)
+
+
+@app.callback()
+def commands() -> None:
+    """With a callback, typer keeps `bake` a subcommand even where it is the only one."""
+
+
+@app.command()
+def bake(
+    environment: Annotated[
+        Path, typer.Argument(metavar="ENV.exr", help="An equirectangular .exr or .hdr panorama.")
+    ],
+    out: Annotated[Path, typer.Option("--out", metavar="MAPS.exr", help="Where the maps go.")],
+    size: Annotated[int, typer.Option(help="Height of a map in pixels; it is twice as wide.")] = 32,
+    unnormalised: Annotated[
+        bool,
+        typer.Option("--unnormalised", help="Keep the integrals: do not divide by a lobe's own."),
+    ] = False,
+    picture: Annotated[
+        Path | None, typer.Option(metavar="PNG", help="Draw the panorama with its maps.")
+    ] = None,
+    ball: Annotated[
+        Path | None, typer.Option(metavar="PNG", help="Draw a Phong ball in that light.")
+    ] = None,
+    albedo: Annotated[
+        str, typer.Option(metavar="R,G,B", help="The ball's, linear Rec.709.")
+    ] = "0.5,0.5,0.5",
+    kd: Annotated[float, typer.Option(help="The ball's diffuse coefficient.")] = 1.0,
+    ks: Annotated[
+        str,
+        typer.Option(
+            metavar="A,B,C,D", help="The ball's specular coefficients, for shininess 1, 16, 32, 64."
+        ),
+    ] = "0,0,0.2,0",
+    device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
+) -> None:
+    """Pre-filter a panorama into the five lightmaps that a portrait is lit with."""
+    if not MAP_ROWS[0] <= size <= MAP_ROWS[1]:
+        low, high = MAP_ROWS
+        raise _error("--size", size, f"give {low} to {high} rows, such as 32")
+    colour = _numbers("--albedo", albedo, "3 numbers from 0 to 1, such as 0.5,0.5,0.5", 3, 1.0)
+    (diffuse,) = _numbers("--kd", str(kd), "a number of at least 0", 1)
+    specular = _numbers("--ks", ks, "4 numbers of at least 0, such as 0,0,0.2,0", 4)
+    outputs = {"--out": out, "--picture": picture, "--ball": ball}
+    _check_outputs(environment, {name: path for name, path in outputs.items() if path is not None})
+    place = _device(device)
+
+    import torch
+
+    from assets_procedural import panorama
+    from totalediting import lightmap_pictures, lightmaps
+    from totalediting.lightmap_files import write_lightmaps
+
+    light = torch.from_numpy(panorama.load(environment)).to(place)
+    maps = lightmaps.bake(light, size)
+    stored = lightmaps.bake(light, size, normalised=False) if unnormalised else maps
+    write_lightmaps(out, stored, environment, normalised=not unnormalised)
+    typer.echo(out)
+    if picture is not None:
+        lightmap_pictures.draw_lightmaps(light, maps, environment.name, picture)
+        typer.echo(picture)
+    if ball is not None:
+        lightmap_pictures.draw_ball(light, maps, colour, diffuse, specular, ball)
+        typer.echo(ball)
+
+
+def _numbers(
+    option: str, text: str, wanted: str, count: int, highest: float = math.inf
+) -> list[float]:
+    """`count` finite numbers from 0 to `highest`, separated by commas; `wanted` says so."""
+    try:
+        numbers = [float(word) for word in text.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) != count or not all(0.0 <= n <= highest and n < math.inf for n in numbers):
+        raise _error(option, text, f"give {wanted}")
+    return numbers
+
+
+def _check_outputs(environment: Path, outputs: dict[str, Path]) -> None:
+    """Files that can be written, none of which is the input or another output."""
+    taken = {environment.resolve(): "the panorama"}
+    for option, path in outputs.items():
+        suffix = ".exr" if option == "--out" else ".png"
+        if path.suffix.lower() != suffix:
+            raise _error(option, path, f"is written as {suffix}; give a name that ends so")
+        if path.is_dir():
+            raise _error(option, path, "is a folder; give a file's name")
+        folder = path.absolute().parent
+        if not folder.is_dir():
+            raise _error(option, path, f"there is no folder {folder}; make it first")
+        if not os.access(folder, os.W_OK):
+            raise _error(option, path, f"{folder} cannot be written into; give another folder")
+        if path.resolve() in taken:
+            raise _error(option, path, f"is {taken[path.resolve()]} as well; give another name")
+        taken[path.resolve()] = f"the file of {option}"
+
+
+def _device(name: str) -> torch.device:
+    if name not in ("cpu", "cuda"):
+        raise _error("--device", name, "choose cpu or cuda")
+    import torch
+
+    if name == "cuda" and not torch.cuda.is_available():
+        raise _error("--device", name, "PyTorch finds no CUDA device here; use --device cpu")
+    return torch.device(name)
+
+
+def _error(option: str, value: object, remedy: str) -> InputError:
+    return InputError(f"{option}: {value}: {remedy}")
+
+
+def _user_errors() -> tuple[type[Exception], ...]:
+    """What is reported in one line. Imported only when something was raised already."""
+    from assets_procedural.panorama import PanoramaError
+
+    return InputError, PanoramaError, OSError
