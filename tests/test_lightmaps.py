@@ -80,6 +80,7 @@ def test_one_texel_becomes_the_lobe(row: int, column: int) -> None:
         # The kink of the clamped cosine takes more orders than are kept.
         atol = 6e-3 if exponent == 1 else 4e-4
         torch.testing.assert_close(maps[lobe], expected, atol=atol, rtol=0)
+    assert (maps >= 0).all()
 
 
 def test_gradient_of_light_is_flattened_as_the_lobe_is_wide() -> None:
@@ -267,7 +268,7 @@ def test_gradients_are_finite_at_poles_and_zero(dtype: torch.dtype) -> None:
 
 def test_bake_has_its_gradient() -> None:
     light = (hdr(2) + 0.5).requires_grad_()
-    assert torch.autograd.gradcheck(lambda x: bake(x, 2), light)
+    assert torch.autograd.gradcheck(lambda x: bake(x, 1), light)
     assert torch.autograd.gradcheck(lambda x: bake(x, 2, turn(1)), light, fast_mode=True)
 
 
@@ -293,7 +294,6 @@ def test_the_same_call_gives_the_same_bytes_also_under_autocast() -> None:
     with torch.autocast("cpu", torch.bfloat16):
         assert torch.equal(bake(light, 8, rotation), once)
     assert torch.equal(bake(light, 8, rotation), once)
-    assert (once >= 0).all()
 
 
 def test_a_first_call_in_inference_mode_does_not_spoil_training() -> None:

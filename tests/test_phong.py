@@ -84,6 +84,15 @@ def test_shading_is_the_integral_over_the_light() -> None:
     assert (found - expected).norm() / expected.norm() < 2e-3
 
 
+def test_each_map_is_read_for_its_own_lobe() -> None:
+    points = surface(8)
+    maps = (
+        torch.tensor([1.0, 10, 100, 1000, 10000]).double()[:, None, None, None].expand(5, 3, 4, 8)
+    )
+    expected = points["k_d"] * points["albedo"] + (points["k_s"] @ maps[1:, 0, 0, 0])[:, None]
+    torch.testing.assert_close(shade(maps, **points), expected)
+
+
 def test_twice_the_light_is_twice_the_shading_and_lights_add() -> None:
     points = surface(40)
     maps = torch.from_numpy(np.random.default_rng(3).gamma(0.5, 2.0, (2, 5, 3, 8, 16)))
@@ -112,11 +121,11 @@ def test_display_is_the_datasets(dtype: torch.dtype) -> None:
     np.testing.assert_allclose(phong.RATE, dataset.RATE, rtol=1e-14)
     linear = torch.from_numpy(linear_values()).to(dtype)
     shown = display(linear)
-    assert shown.dtype == dtype
+    assert shown.dtype == dtype and shown.max() <= 1
     np.testing.assert_allclose(shown, dataset.display(linear.numpy()), atol=1e-6)
     levels = torch.linspace(-0.1, 1.1, 999, dtype=dtype)
     back = undisplay(levels)
-    assert back.dtype == dtype
+    assert back.dtype == dtype and back.max() <= phong.CLIP
     np.testing.assert_allclose(back, dataset.undisplay(levels.numpy()), rtol=2e-5, atol=1e-6)
 
 

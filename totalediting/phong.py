@@ -112,7 +112,7 @@ def display(linear: torch.Tensor) -> torch.Tensor:
     Light below 0 gives 0, above `CLIP` 1, both without gradient; NaN stays NaN.
     """
     x = linear.clamp(0.0, CLIP)
-    # Each branch is evaluated everywhere; the bounds keep the gradient of the other one finite.
+    # Both branches are evaluated everywhere; the bounds keep them and their gradients finite.
     bent = KNEE + torch.log1p(RATE * (x.clamp_min(KNEE) - KNEE)) / RATE
     bent = torch.where(x <= KNEE, x, bent)
     power = 1.055 * bent.clamp_min(0.0031308) ** (1.0 / 2.4) - 0.055
@@ -122,9 +122,9 @@ def display(linear: torch.Tensor) -> torch.Tensor:
 def undisplay(shown: torch.Tensor) -> torch.Tensor:
     """The inverse of `display`: values in [0, 1] to linear light in [0, CLIP]; others clamp."""
     y = shown.clamp(0.0, 1.0)
-    power = ((y.clamp_min(0.04045) + 0.055) / 1.055) ** 2.4
+    power = ((y + 0.055) / 1.055) ** 2.4
     bent = torch.where(y <= 0.04045, y / 12.92, power)
-    straight = KNEE + torch.expm1(RATE * (bent.clamp_min(KNEE) - KNEE)) / RATE
+    straight = KNEE + torch.expm1(RATE * (bent - KNEE)) / RATE
     return torch.where(bent <= KNEE, bent, straight).clamp_max(CLIP)
 
 
