@@ -74,7 +74,8 @@ def truth(bust: Bust, count: int, heights: tuple[float, float]) -> tuple[Tensor,
     """Points at random `heights` (metres) over the skin, carried along by its own skinning.
 
     Gives posed points, canonical points (count, 3), rotations from posed to canonical
-    (count, 3, 3), canonical and posed normals (count, 3); float64.
+    (count, 3, 3): those of the blended bones, canonical and posed normals of the skin (count, 3);
+    float64.
     """
     rng = np.random.default_rng(0)
     faces = bust.model.groups["skin"][triangles(bust.model)]
@@ -92,7 +93,7 @@ def truth(bust: Bust, count: int, heights: tuple[float, float]) -> tuple[Tensor,
     linear = motion[..., :3]
     posed = np.einsum("nij,nj->ni", linear, point) + motion[..., 3]
     u, _, vh = np.linalg.svd(linear)
-    turned = np.einsum("nji,nj->ni", np.linalg.inv(linear), normal)
+    turned = np.einsum("nk,nkj->nj", share, bust.normals[faces[chosen]])
     turned /= np.linalg.norm(turned, axis=1, keepdims=True)
     arrays = (posed, point, (u @ vh).transpose(0, 2, 1), normal, turned)
     return tuple(torch.from_numpy(a) for a in arrays)
@@ -203,7 +204,7 @@ def measure(way: str, count: int, vertices: int, device: str, timed: int) -> dic
     chosen = torch.randint(len(control.posed), (vertices,), generator=generator).to(device)
     if vertices != len(control.posed):
         control = Control(*(a[chosen] for a in control))
-    answer(way, scattered(2048, device), control)  # warm
+    answer(way, scattered(16, device), control)  # warm
     points = scattered(count, device)[:timed]
     before = peak(device)
     start = time.perf_counter()

@@ -2,12 +2,60 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from multiprocessing import get_context
 from pathlib import Path
 
 import fake_renderer
 import pytest
 
 from synthgen.farm.local import render_job
+
+
+@dataclass
+class Answer:
+    """What a command said."""
+
+    returncode: int
+    stdout: str
+    stderr: str
+
+    @property
+    def error(self) -> str:
+        """The one line of a user's error."""
+        assert self.returncode == 2, self.stderr
+        assert self.stdout == ""
+        assert self.stderr.startswith("error: ")
+        assert self.stderr.count("\n") == 1, self.stderr
+        return self.stderr.strip()
+
+
+@pytest.fixture
+def command(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Callable[..., Answer]:
+    """Runs a command line's `main` with arguments in this process, sparing a start of Python."""
+    monkeypatch.setenv("NO_COLOR", "1")
+    monkeypatch.setenv("COLUMNS", "200")
+
+    def run(main: Callable[[], None], *arguments: object) -> Answer:
+        monkeypatch.setattr(sys, "argv", ["command", *map(str, arguments)])
+        with pytest.raises(SystemExit) as end:
+            main()
+        captured = capsys.readouterr()
+        return Answer(int(end.value.code or 0), captured.out, captured.err)
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def blender():
+    """Runs a function in one spawned process with Blender."""
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as executor:
+        yield lambda function, *arguments: executor.submit(function, *arguments).result(timeout=300)
 
 
 @pytest.fixture(scope="session")

@@ -9,12 +9,13 @@ import resource
 import subprocess
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from conftest import Answer
 from PIL import Image
 
 from assets_procedural import panorama
@@ -29,44 +30,19 @@ from totalediting.phong import KNEE
 CHANNELS = {f"{lobe}.{c}" for lobe in lightmaps.LOBES for c in "RGB"}
 
 
-@dataclass
-class Answer:
-    returncode: int
-    stdout: str
-    stderr: str
-
-
 Run = Callable[..., Answer]
 
 
 @pytest.fixture
-def totalediting(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
+def totalediting(command: Callable[..., Answer]) -> Run:
     """Runs a command of `totalediting` in this process."""
-    monkeypatch.setenv("NO_COLOR", "1")
-
-    def run(*arguments: object) -> Answer:
-        monkeypatch.setattr(sys, "argv", ["totalediting", *map(str, arguments)])
-        with pytest.raises(SystemExit) as end:
-            cli.main()
-        captured = capsys.readouterr()
-        return Answer(int(end.value.code or 0), captured.out, captured.err)
-
-    return run
+    return partial(command, cli.main)
 
 
 @pytest.fixture
 def failure(totalediting: Run) -> Callable[..., str]:
     """The one line of a user's error."""
-
-    def run(*arguments: object) -> str:
-        result = totalediting(*arguments)
-        assert result.returncode == 2, result.stderr
-        assert result.stdout == ""
-        assert result.stderr.startswith("error: ")
-        assert result.stderr.count("\n") == 1, result.stderr
-        return result.stderr.strip()
-
-    return run
+    return lambda *arguments: totalediting(*arguments).error
 
 
 @pytest.fixture

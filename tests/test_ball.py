@@ -8,8 +8,6 @@ Cycles' noise: each case gains its 3 dB with twice the samples.
 from __future__ import annotations
 
 import math
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -23,13 +21,6 @@ from totalediting import lightmaps
 from totalediting.ball import shade_ball
 
 pytestmark = pytest.mark.blender
-
-
-@pytest.fixture(scope="module")
-def blender():
-    """Runs a function of `stage_scenes` in one spawned process with Blender."""
-    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as executor:
-        yield lambda function, *arguments: executor.submit(function, *arguments).result(timeout=300)
 
 
 @pytest.mark.parametrize(("name", "rotation"), [("sunset", 0.0), ("courtyard", 0.7)])

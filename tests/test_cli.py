@@ -7,11 +7,12 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import fake_renderer
 import pytest
+from conftest import Answer
 
 from synthgen import cli
 
@@ -42,7 +43,6 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Calibrations of this test alone."""
     folder = tmp_path / "cache"
     monkeypatch.setenv("SYNTHGEN_CACHE", str(folder))
-    monkeypatch.setenv("COLUMNS", "200")
     return folder
 
 
@@ -53,45 +53,20 @@ def job(tmp_path: Path) -> Path:
     return path
 
 
-@dataclass
-class Answer:
-    returncode: int
-    stdout: str
-    stderr: str
-
-
 Synthgen = Callable[..., Answer]
 
 
 @pytest.fixture
-def synthgen(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Synthgen:
-    """Runs a command of `synthgen` in this process, which spares a start of Python."""
+def synthgen(monkeypatch: pytest.MonkeyPatch, command: Callable[..., Answer]) -> Synthgen:
+    """Runs a command of `synthgen` in this process."""
     monkeypatch.chdir(ROOT)
-    monkeypatch.setenv("NO_COLOR", "1")
-
-    def run(*arguments: object) -> Answer:
-        monkeypatch.setattr(sys, "argv", ["synthgen", *map(str, arguments)])
-        with pytest.raises(SystemExit) as end:
-            cli.main()
-        captured = capsys.readouterr()
-        return Answer(int(end.value.code or 0), captured.out, captured.err)
-
-    return run
+    return partial(command, cli.main)
 
 
 @pytest.fixture
 def failure(synthgen: Synthgen) -> Callable[..., str]:
     """The one line of a user's error."""
-
-    def run(*arguments: object) -> str:
-        result = synthgen(*arguments)
-        assert result.returncode == 2, result.stderr
-        assert result.stdout == ""
-        assert result.stderr.startswith("error: ")
-        assert result.stderr.count("\n") == 1, result.stderr
-        return result.stderr.strip()
-
-    return run
+    return lambda *arguments: synthgen(*arguments).error
 
 
 def process(*arguments: object) -> subprocess.CompletedProcess[str]:

@@ -239,7 +239,7 @@ POSES = {
 
 @pytest.mark.parametrize("pose", POSES)
 def test_turned_normals_are_the_true_normals_of_a_bent_bust(faces, generator, pose):
-    """On the skin, the default fall-off: half a millimetre, a degree; folds of the neck more."""
+    """On the skin, with the default fall-off: half a millimetre, a third of a degree on the mean."""
     control = control_of(bust(**POSES[pose]))
     posed, canonical, normal, canonical_normal = on_surface(control, faces, generator, 2000)
     field = mls(posed, control)
@@ -247,8 +247,8 @@ def test_turned_normals_are_the_true_normals_of_a_bent_bust(faces, generator, po
     assert error.mean() < 5e-4
     assert error.quantile(0.99) < 3e-3
     turned_back = field.to_posed(canonical_normal)
-    assert between(turned_back, normal).mean() < 1.0
-    assert between(turned_back, normal).quantile(0.9) < 2.5
+    assert between(turned_back, normal).mean() < 0.3
+    assert between(turned_back, normal).quantile(0.99) < 2.5
     torch.testing.assert_close(
         turned_back, (field.rotation.mT @ canonical_normal[..., None])[..., 0]
     )

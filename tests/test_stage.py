@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
-
 import numpy as np
 import pytest
 import stage_scenes as scenes
@@ -24,13 +21,6 @@ def lights(tmp_path_factory):
     scenes.write_gradient(folder, "gradient", (1.0, 1.0, 1.0))
     scenes.write_gradient(folder, "ember", (6.0, 1.0, 0.2))
     return folder
-
-
-@pytest.fixture(scope="module")
-def blender():
-    """Runs a function of `stage_scenes` in one spawned process with Blender."""
-    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-        yield lambda function, *arguments: pool.submit(function, *arguments).result(timeout=300)
 
 
 @pytest.fixture(scope="module")
