@@ -239,7 +239,7 @@ POSES = {
 
 @pytest.mark.parametrize("pose", POSES)
 def test_turned_normals_are_the_true_normals_of_a_bent_bust(faces, generator, pose):
-    """On the skin, with the default fall-off: half a millimetre, a third of a degree on the mean."""
+    """On the skin, with the default fall-off: half a millimetre, a third of a degree."""
     control = control_of(bust(**POSES[pose]))
     posed, canonical, normal, canonical_normal = on_surface(control, faces, generator, 2000)
     field = mls(posed, control)
