@@ -34,7 +34,7 @@ class Answer:
 
 
 @pytest.fixture
-def command(
+def run_main(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> Callable[..., Answer]:
     """Runs a command line's `main` with arguments in this process, sparing a start of Python."""

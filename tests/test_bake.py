@@ -34,9 +34,9 @@ Run = Callable[..., Answer]
 
 
 @pytest.fixture
-def totalediting(command: Callable[..., Answer]) -> Run:
+def totalediting(run_main: Callable[..., Answer]) -> Run:
     """Runs a command of `totalediting` in this process."""
-    return partial(command, cli.main)
+    return partial(run_main, cli.main)
 
 
 @pytest.fixture

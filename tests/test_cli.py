@@ -57,10 +57,10 @@ Synthgen = Callable[..., Answer]
 
 
 @pytest.fixture
-def synthgen(monkeypatch: pytest.MonkeyPatch, command: Callable[..., Answer]) -> Synthgen:
+def synthgen(monkeypatch: pytest.MonkeyPatch, run_main: Callable[..., Answer]) -> Synthgen:
     """Runs a command of `synthgen` in this process."""
     monkeypatch.chdir(ROOT)
-    return partial(command, cli.main)
+    return partial(run_main, cli.main)
 
 
 @pytest.fixture
