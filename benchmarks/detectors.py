@@ -18,11 +18,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from networks import NetworkError, fetch
 
 from synthgen.dataset import open_dataset
 from synthgen.ledger import StorageError
 from synthgen.shot import camera_of
+from totalediting.weights import NetworkError, fetch
 
 # MediaPipe's face mesh at iBUG's 68 landmarks and the two pupils (right, left).
 MEDIAPIPE_70 = np.array(

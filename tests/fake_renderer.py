@@ -112,14 +112,15 @@ def _shot(subject: SubjectPlan, plan: ShotPlan, job: JobSpec) -> Shot:
     )
     meta["exposures"] = exposures
     meta["joints"] = ["head"]
-    points = (landmarks - CENTRE).astype(np.float32)
+    points = landmarks.astype(np.float32)
+    normals = ((landmarks - CENTRE) / RADIUS).astype(np.float32)
     geometry = {
-        "landmarks": landmarks.astype(np.float32),
+        "landmarks": points,
         "landmarks_canonical": points,
-        "control_points": landmarks.astype(np.float32),
+        "control_points": points,
         "control_points_canonical": points,
-        "control_normals": points / np.float32(RADIUS),
-        "control_normals_canonical": points / np.float32(RADIUS),
+        "control_normals": normals,
+        "control_normals_canonical": normals,
         "joints": np.eye(4, dtype=np.float32)[None],
     }
     return Shot(
@@ -130,7 +131,7 @@ def _shot(subject: SubjectPlan, plan: ShotPlan, job: JobSpec) -> Shot:
         normal=(outward @ rotation).astype(np.float16),
         depth=depth.astype(np.float32),
         uv=(outward[..., :2] * 0.5 + 0.5 * mask[..., None]).astype(np.float32),
-        canonical=(outward * RADIUS).astype(np.float32),
+        canonical=np.where(mask[..., None], point, 0).astype(np.float32),
         alpha=alpha,
         parts=np.where(mask, 1 + (outward[..., 2] > 0.5) * 12, 0).astype(np.uint8),
         geometry=geometry,

@@ -104,6 +104,85 @@ def bake(
         typer.echo(ball)
 
 
+@app.command()
+def train(
+    stage: Annotated[
+        str, typer.Argument(metavar="STAGE", help="tracker, lightmaps, reconstruct, joint or all.")
+    ],
+    data: Annotated[Path, typer.Argument(metavar="DATA", help="A dataset that synthgen rendered.")],
+    out: Annotated[Path, typer.Option("--out", metavar="RUN", help="Where the run goes.")],
+    preset: Annotated[str, typer.Option(help="tiny, small or full.")] = "tiny",
+    steps: Annotated[
+        int | None, typer.Option(min=1, help="Steps in all; default: the stage's own.")
+    ] = None,
+    batch: Annotated[int | None, typer.Option(min=1, help="Samples of a step.")] = None,
+    learning_rate: Annotated[
+        float | None, typer.Option(help="At its height; default: the stage's own.")
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="All randomness comes from it.")] = 0,
+    workers: Annotated[int, typer.Option(min=0, help="Processes that read data.")] = 1,
+    device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
+    devices: Annotated[int, typer.Option(min=1, help="How many of them.")] = 1,
+    precision: Annotated[str, typer.Option(help="32-true, bf16-mixed or 16-mixed.")] = "32-true",
+) -> None:
+    """Train one stage of the model, or all. Running the same command again resumes."""
+    names = ("tracker", "lightmaps", "reconstruct", "joint")
+    _choice("STAGE", stage, (*names, "all"))
+    _choice("--preset", preset, ("tiny", "small", "full"))
+    _choice("--precision", precision, ("32-true", "bf16-mixed", "16-mixed"))
+    if learning_rate is not None and not 0 < learning_rate < 1:
+        raise _error("--learning-rate", learning_rate, "give a number between 0 and 1, as 4e-4")
+    if batch is not None and batch % devices:
+        raise _error("--batch", batch, f"give a multiple of the {devices} devices")
+    _device(device)
+
+    import dataclasses
+
+    import torch
+
+    from totalediting import checkpoints, stages, training
+    from totalediting.joint import JointStage
+    from totalediting.presets import PRESETS
+
+    given = {"steps": steps, "batch": batch, "learning_rate": learning_rate}
+    given = {name: value for name, value in given.items() if value is not None}
+    machine = training.Machine(device, devices, precision)
+    facts = {"preset": preset, "data": str(data.resolve())}
+    for name in names if stage == "all" else (stage,):
+        schedule = dataclasses.replace(stages.SCHEDULES[name], **given)
+        torch.manual_seed(seed)
+        made = stages.make(name, data, PRESETS[preset], seed, workers, schedule.steps)
+        if isinstance(made, JointStage):
+            if checkpoints.latest(out / name) is None:
+                made.start_from(out)
+            for term, reason in made.off.items():
+                typer.echo(f"without {term}: {reason}")
+        figures = training.train(made, out / name, schedule, seed, facts, machine)
+        for figure, value in figures.items():
+            typer.echo(f"{name}: {figure}: {value:.4g}")
+        for key, reason in made.skipped.items():
+            typer.echo(f"skipped {key}: {reason}")
+
+
+@app.command()
+def show(
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="A folder that `train` filled.")],
+    data: Annotated[Path, typer.Argument(metavar="DATA", help="A dataset with held-out people.")],
+    output: Annotated[
+        Path | None, typer.Option("--output", metavar="PNG", help="Default: RUN.png.")
+    ] = None,
+) -> None:
+    """Draw what a trained run does with people that it has not seen."""
+    from totalediting import showcase
+
+    typer.echo(showcase.draw(run, data, output or run.with_name(run.name + ".png")))
+
+
+def _choice(option: str, value: str, choices: tuple[str, ...]) -> None:
+    if value not in choices:
+        raise _error(option, value, f"choose {', '.join(choices[:-1])} or {choices[-1]}")
+
+
 def _numbers(
     option: str, text: str, wanted: str, count: int, highest: float = math.inf
 ) -> list[float]:

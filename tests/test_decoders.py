@@ -1,0 +1,240 @@
+"""Point-wise decoders: the shading equation, its light, its frames and its fresh state."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from totalediting import decoders, phong, volume
+from totalediting.decoders import (
+    DENSITY_SCALE,
+    Decoders,
+    GeometryDecoder,
+    PlainDecoder,
+    Shading,
+    ShadingDecoder,
+)
+from totalediting.lightmaps import bake
+from totalediting.presets import PRESETS, Preset
+
+TINY = PRESETS["tiny"]
+B, N = 2, 50
+
+
+def seeded(seed: int) -> torch.Generator:
+    return torch.Generator().manual_seed(seed)
+
+
+def units(seed: int) -> Tensor:
+    return functional.normalize(torch.randn(B, N, 3, generator=seeded(seed)), dim=-1)
+
+
+def rotations(seed: int) -> Tensor:
+    """(B, 3, 3), with determinant 1."""
+    q, _ = torch.linalg.qr(torch.randn(B, 3, 3, generator=seeded(seed)))
+    return q * torch.det(q)[:, None, None]
+
+
+def lightmaps(seed: int = 0) -> Tensor:
+    return bake(torch.rand(B, 16, 32, 3, generator=seeded(seed)) ** 4 * 5, 16)
+
+
+def features(seed: int = 0) -> Tensor:
+    return torch.randn(B, N, TINY.plane_channels, generator=seeded(seed))
+
+
+def same(directions: Tensor) -> Tensor:
+    return directions
+
+
+def trained(module: nn.Module, seed: int = 0) -> nn.Module:
+    """Away from the fresh state, in which some weights are 0."""
+    with torch.no_grad():
+        for parameter in module.parameters():
+            parameter += 0.1 * torch.randn(parameter.shape, generator=seeded(seed))
+    return module
+
+
+@pytest.fixture
+def decoder() -> ShadingDecoder:
+    torch.manual_seed(0)
+    module = trained(ShadingDecoder(TINY))
+    assert isinstance(module, ShadingDecoder)
+    return module
+
+
+def shade(decoder: nn.Module, light: Tensor, turn: Tensor | None = None) -> Shading:
+    """Of the same points; `turn` (B, 3, 3) turns model space and what is told about it."""
+    turn = torch.eye(3).expand(B, 3, 3) if turn is None else turn
+    to_light = rotations(1) @ turn.mT
+    return decoder(features(), lambda n: n @ turn.mT, units(2) @ turn.mT, light, to_light)
+
+
+def test_density_is_positive_and_follows_the_last_layer() -> None:
+    torch.manual_seed(0)
+    decoder = GeometryDecoder(TINY)
+    density = decoder(features())
+    assert density.shape == (B, N)
+    assert (density > 0).all()
+    last = decoder.net[-1]
+    assert isinstance(last, nn.Linear)
+    with torch.no_grad():
+        last.weight.zero_()
+        last.bias.fill_(41.0)
+    torch.testing.assert_close(decoder(features()), torch.full((B, N), 40.0 * DENSITY_SCALE))
+
+
+def test_a_fresh_volume_is_translucent() -> None:
+    torch.manual_seed(0)
+    density = GeometryDecoder(TINY)(torch.randn(1, 4096, TINY.plane_channels)).mean()
+    assert 0.1 < 1.0 - math.exp(-0.6 * density.item()) < 0.8
+    empty = GeometryDecoder(TINY)(torch.zeros(1, 1, TINY.plane_channels))
+    expected = DENSITY_SCALE * functional.softplus(torch.tensor(decoders.FRESH - 1.0))
+    torch.testing.assert_close(empty[0, 0], expected)
+
+
+def test_a_fresh_surface_is_matt_and_has_no_residual() -> None:
+    torch.manual_seed(0)
+    shading = shade(ShadingDecoder(TINY), lightmaps())
+    assert (shading.k_d - 1.0).abs().max() < 0.05
+    assert (shading.k_s - decoders.FRESH_SPECULAR).abs().max() < 0.02
+    assert not shading.residual.any()
+    assert (shading.canonical_normal[..., 1] < 0).float().mean() > 0.5, "faces look along -Y"
+
+
+def test_shapes_and_ranges(decoder: ShadingDecoder) -> None:
+    shading = shade(decoder, lightmaps())
+    sizes = {"features": (TINY.features,), "k_d": (1,), "k_s": (4,), "s_s": (4, 3)}
+    for name, value in shading._asdict().items():
+        assert value.shape == (B, N, *sizes.get(name, (3,))), name
+    assert shading.albedo.min() >= 0 and shading.albedo.max() <= 1
+    assert shading.k_d.min() >= 0 and shading.k_d.max() <= 2
+    assert shading.k_s.min() >= 0 and shading.k_s.max() <= 1
+    for normal in (shading.normal, shading.canonical_normal):
+        torch.testing.assert_close(normal.norm(dim=-1), torch.ones(B, N))
+
+
+def test_colour_is_the_render_equation(decoder: ShadingDecoder) -> None:
+    s = shade(decoder, lightmaps())
+    composed = phong.compose(s.albedo, s.k_d, s.s_d, s.k_s, s.s_s, s.residual)
+    torch.testing.assert_close(s.colour, composed)
+    torch.testing.assert_close(s.colour, s.diffuse + s.specular + s.residual)
+    to_light = rotations(1)
+    shaded = phong.shade(
+        lightmaps(), s.normal @ to_light.mT, units(2) @ to_light.mT, s.albedo, s.k_d, s.k_s
+    )
+    torch.testing.assert_close(s.diffuse + s.specular, shaded)
+
+
+def test_shading_is_linear_in_light(decoder: ShadingDecoder) -> None:
+    first, second = lightmaps(0), lightmaps(1)
+
+    def lit(light: Tensor) -> Tensor:
+        shading = shade(decoder, light)
+        return shading.diffuse + shading.specular
+
+    torch.testing.assert_close(lit(2.0 * first), 2.0 * lit(first), atol=0, rtol=1e-5)
+    torch.testing.assert_close(lit(first + second), lit(first) + lit(second))
+    assert not lit(torch.zeros_like(first)).any()
+
+
+def test_material_knows_no_light(decoder: ShadingDecoder) -> None:
+    one, other = shade(decoder, lightmaps(0)), shade(decoder, lightmaps(1))
+    for name in ("albedo", "normal", "canonical_normal", "features", "k_d", "k_s"):
+        assert torch.equal(getattr(one, name), getattr(other, name)), name
+    for name in ("colour", "diffuse", "specular", "residual"):
+        assert not torch.allclose(getattr(one, name), getattr(other, name)), name
+
+
+def test_light_stays_where_it_is_when_model_space_turns(decoder: ShadingDecoder) -> None:
+    turn = rotations(5)
+    one, other = shade(decoder, lightmaps()), shade(decoder, lightmaps(), turn)
+    torch.testing.assert_close(other.normal, one.normal @ turn.mT)
+    for name in ("s_d", "s_s", "albedo", "features", "canonical_normal"):
+        torch.testing.assert_close(getattr(other, name), getattr(one, name), atol=1e-4, rtol=1e-4)
+    assert not torch.allclose(other.k_d, one.k_d), "D_d sees normals of model space"
+
+
+def test_constant_light_is_not_seen_to_turn(decoder: ShadingDecoder) -> None:
+    shading = shade(decoder, torch.full((B, 5, 3, 16, 32), 3.0))
+    torch.testing.assert_close(shading.s_d, torch.full((B, N, 3), 3.0))
+    torch.testing.assert_close(shading.s_s, torch.full((B, N, 4, 3), 3.0))
+
+
+def test_gradients_reach_all_that_is_learnt(decoder: ShadingDecoder) -> None:
+    inputs, light = features().requires_grad_(), lightmaps().requires_grad_()
+    shading = decoder(inputs, same, units(2), light, rotations(1))
+    (shading.colour.square().mean() + shading.features.square().mean()).backward()
+    for name, tensor in [*decoder.named_parameters(), ("t_shd", inputs), ("light", light)]:
+        assert tensor.grad is not None and tensor.grad.isfinite().all(), name
+        assert tensor.grad.any(), name
+    geometry = GeometryDecoder(TINY)
+    geometry(features()).sum().backward()
+    assert all(p.grad is not None and p.grad.any() for p in geometry.parameters())
+
+
+def test_plain_colour_knows_neither_light_nor_view() -> None:
+    torch.manual_seed(0)
+    decoder = PlainDecoder(TINY)
+    shading = shade(decoder, lightmaps())
+    other = decoder(features(), same, units(9), 7.0 * lightmaps(3), rotations(4))
+    assert torch.equal(shading.colour, other.colour)
+    assert torch.equal(shading.colour, shading.albedo)
+    assert all((shading.colour > 0).flatten())
+    torch.testing.assert_close(shading.normal.norm(dim=-1), torch.ones(B, N))
+    phongs = shade(ShadingDecoder(TINY), lightmaps())
+    for name, value in shading._asdict().items():
+        assert value.shape == getattr(phongs, name).shape, name
+        if name in ("diffuse", "specular", "residual", "k_d", "s_d", "k_s", "s_s"):
+            assert not value.any(), name
+    with torch.no_grad():
+        for p in decoder.parameters():
+            p.mul_(20.0)
+    bright = decoder(features(), same, units(2), lightmaps(), rotations(1)).colour
+    assert bright.max() > 1, "linear light has no upper bound"
+    torch.manual_seed(0)
+    shown = shade(trained(PlainDecoder(replace(TINY, colour="srgb"))), lightmaps()).colour
+    assert shown.max() <= 1
+
+
+@pytest.mark.parametrize("preset", PRESETS.values(), ids=PRESETS)
+def test_presets(preset: Preset) -> None:
+    with torch.device("meta"):
+        both = Decoders(preset)
+        t = torch.zeros(1, 7, preset.plane_channels)
+        assert both.geometry(t).shape == (1, 7)
+    assert isinstance(both.shading, ShadingDecoder)
+    plain = Decoders(replace(preset, decoder="plain"))
+    assert isinstance(plain.shading, PlainDecoder)
+
+
+def test_the_seed_decides(decoder: ShadingDecoder) -> None:
+    torch.manual_seed(0)
+    again = trained(ShadingDecoder(TINY))
+    assert torch.equal(shade(decoder, lightmaps()).colour, shade(again, lightmaps()).colour)
+
+
+def test_wrong_shapes_are_named(decoder: ShadingDecoder) -> None:
+    good = {
+        "features": features(),
+        "view": units(0),
+        "lightmaps": lightmaps(),
+        "to_light": rotations(0),
+    }
+    for name in good:
+        bad = good | {name: good[name][0]}
+        with pytest.raises(ValueError, match=name):
+            decoder(to_posed=same, **bad)
+
+
+def test_planes_are_trained_through_the_decoders(decoder: ShadingDecoder) -> None:
+    planes = torch.randn(B, 3, TINY.plane_channels, 8, 8, requires_grad=True)
+    points = torch.rand(B, N, 3)
+    found = volume.triplane(planes, points, torch.zeros(3), torch.ones(3))
+    decoder(found, same, units(2), lightmaps(), rotations(1)).colour.sum().backward()
+    assert planes.grad is not None and planes.grad.abs().sum((0, 3, 4)).all()

@@ -1,0 +1,107 @@
+"""The lightmap estimator: shapes, lobes, gradients, what its parts are made of."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+from totalediting import lightmaps
+from totalediting.illumination import LightmapEstimator, fold, sphere, texel_weights, unfold
+from totalediting.presets import PRESETS
+
+TINY = PRESETS["tiny"]
+
+
+@pytest.fixture
+def estimator() -> LightmapEstimator:
+    torch.manual_seed(0)
+    return LightmapEstimator(TINY)
+
+
+@pytest.fixture
+def image() -> torch.Tensor:
+    return torch.rand(2, 3, 128, 128, generator=torch.Generator().manual_seed(1))
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_every_preset_gives_maps_and_normals(name: str) -> None:
+    preset = PRESETS[name]
+    with torch.device("meta"):
+        estimator = LightmapEstimator(preset)
+        image = torch.empty(2, 3, preset.image, preset.image)
+        maps = estimator.lightmaps(image)
+        code, normal = estimator(image, torch.zeros(7, dtype=torch.long))
+    rows = preset.lightmap_height
+    assert maps.shape == (2, 5, 3, rows, 2 * rows)
+    assert code.shape == (2, 7, 3)
+    assert normal.shape == (2, 3, preset.image // 2, preset.image // 2)
+
+
+def test_fold_and_unfold_are_inverse() -> None:
+    maps = torch.rand(2, 5, 3, 16, 32)
+    maps[:, 0] = maps[:, 1]
+    assert torch.equal(unfold(fold(maps), 16), maps)
+
+
+def test_some_queries_are_answered_as_all_are(estimator, image) -> None:
+    texels = torch.tensor([0, 700, estimator.queries - 1])
+    whole, some = estimator(image), estimator(image, texels)
+    torch.testing.assert_close(some.code, whole.code[:, texels])
+    torch.testing.assert_close(
+        estimator.lightmaps(image), unfold(lightmaps.decode(whole.code), TINY.lightmap_height)
+    )
+
+
+def test_lobes_are_those_that_lightmaps_are_baked_with(estimator) -> None:
+    """A lobe's mean over lights that are spread evenly is the lightmap of their light."""
+    towards = estimator.light
+    light = 1 + 0.8 * towards[:, 2] + 0.5 * towards[:, 0]
+    seen = estimator.lobes(torch.arange(estimator.queries)) @ light[:, None] / len(light)
+    direction = lightmaps.texel_directions(64)
+    panorama = (1 + 0.8 * direction[..., 2] + 0.5 * direction[..., 0])[..., None].expand(-1, -1, 3)
+    baked = lightmaps.bake(panorama.contiguous(), TINY.lightmap_height)[None]
+    # 128 directions are few for the sharpest lobe.
+    error = (seen[None, :, 0] - fold(baked)[..., 0]).abs()[0].unflatten(0, (4, -1))
+    assert (error.amax(1) < torch.tensor([0.01, 0.02, 0.06, 0.15])).all()
+
+
+def test_directions_are_spread_evenly() -> None:
+    directions = sphere(512)
+    torch.testing.assert_close(directions.norm(dim=1), torch.ones(512).double())
+    assert directions.mean(0).abs().max() < 1e-3
+    nearest = (directions @ directions.T - 2 * torch.eye(512)).amax(1).arccos()
+    assert nearest.min() > 0.6 * math.sqrt(4 * math.pi / 512)
+
+
+def test_weights_are_solid_angles() -> None:
+    weights = texel_weights(16)
+    assert weights.mean() == pytest.approx(1)
+    assert weights[0] / weights[8 * 32] == pytest.approx(
+        (1 - math.cos(math.pi / 16)) / math.sin(math.pi / 16), rel=1e-4
+    )
+
+
+def test_gradients_reach_every_parameter(estimator, image) -> None:
+    code, normal = estimator(image)
+    (code.square().mean() + normal[:, 0].mean()).backward()
+    for name, parameter in estimator.named_parameters():
+        assert parameter.grad is not None and parameter.grad.abs().max() > 0, name
+
+
+def test_light_does_not_hang_on_the_normal_decoder(estimator, image) -> None:
+    """After pre-training it is detached: no gradient of light may need it."""
+    estimator.lightmaps(image).mean().backward()
+    assert all(p.grad is None for p in estimator.to_normal.parameters())
+    assert all(p.grad is None for p in estimator.up.parameters())
+
+
+def test_normals_are_unit_and_light_is_not_negative(estimator, image) -> None:
+    torch.testing.assert_close(estimator(image).normal.norm(dim=1), torch.ones(2, 64, 64))
+    assert estimator.lightmaps(image).min() >= 0
+
+
+def test_a_picture_of_another_size_is_refused(estimator) -> None:
+    with pytest.raises(ValueError, match=r"image must be \(B, 3, 128, 128\), got \(1, 3, 64, 64\)"):
+        estimator(torch.zeros(1, 3, 64, 64))

@@ -1,0 +1,199 @@
+"""`totalediting train` on a small dataset: every stage learns, resumes and says what is wrong."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import pytest
+import torch
+from conftest import Answer
+from PIL import Image
+
+from totalediting import checkpoints, cli, losses, perceptual, recognition, showcase, stages
+from totalediting.joint import JointStage
+from totalediting.presets import PRESETS
+from totalediting.reconstruction import ReconstructStage, edit_of
+from totalediting.stages import LightmapStage, TrackerStage
+from totalediting.weights import NetworkError
+
+Run = Callable[..., Answer]
+
+
+@pytest.fixture
+def totalediting(run_main: Callable[..., Answer]) -> Run:
+    return partial(run_main, cli.main)
+
+
+def trained(run: Path, stage: str) -> list[dict[str, float]]:
+    """What was logged of each step."""
+    return [json.loads(line) for line in (run / stage / "losses.jsonl").read_text().splitlines()]
+
+
+@pytest.mark.parametrize("stage", ["tracker", "lightmaps", "reconstruct"])
+def test_a_stage_trains_and_resumes(
+    totalediting: Run, small_dataset: Path, tmp_path: Path, stage: str
+) -> None:
+    arguments = ["train", stage, small_dataset, "--batch", 2, "--workers", 0]
+    whole = totalediting(*arguments, "--out", tmp_path / "run", "--steps", 3)
+    assert whole.returncode == 0, whole.stderr
+    assert [line["step"] for line in trained(tmp_path / "run", stage)] == [0, 1, 2]
+    assert (checkpoints.best_step(tmp_path / "run" / stage)) == 3
+    again = totalediting(*arguments, "--out", tmp_path / "run", "--steps", 3)
+    assert again.returncode == 0 and again.stdout.splitlines()[-1] in whole.stdout
+
+
+@pytest.mark.parametrize("kind", [TrackerStage, LightmapStage])
+def test_a_single_batch_is_learnt_by_heart(small_dataset: Path, kind: type) -> None:
+    torch.manual_seed(0)
+    stage = kind(small_dataset, PRESETS["tiny"], seed=0, workers=0)
+    batch = next(stage.batches(0, 2, 0, 1))
+    optimiser = torch.optim.AdamW(stage.network.parameters(), 1e-3)
+    curve = []
+    for step in range(25):
+        torch.manual_seed(0)
+        loss, _ = stage.loss(stage.network, batch, step)
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+        curve.append(loss.item())
+    assert curve[-1] < 0.6 * curve[0]
+
+
+def test_batches_follow_from_the_step_alone(small_dataset: Path) -> None:
+    stage = LightmapStage(small_dataset, PRESETS["tiny"], seed=3, workers=0)
+    running = stage.batches(0, 2, 0, 1)
+    later = [next(running).image for _ in range(4)][-1]
+    assert torch.equal(later, next(stage.batches(3, 2, 0, 1)).image)
+    halves = [next(stage.batches(3, 1, rank, 2)).image for rank in range(2)]
+    assert torch.equal(torch.cat(halves), later)
+
+
+def test_reconstruction_counts_only_the_subject(small_dataset: Path) -> None:
+    torch.manual_seed(0)
+    stage = ReconstructStage(small_dataset, PRESETS["tiny"], seed=0, workers=0)
+    batch = next(stage.batches(0, 1, 0, 1))
+
+    def loss(batch) -> float:
+        torch.manual_seed(1)
+        return stage.loss(stage.network, batch, 0)[0].item()
+
+    behind = batch.mot_image * (batch.alpha > 0) + (batch.alpha == 0) * 0.7
+    assert loss(batch._replace(mot_image=behind)) == pytest.approx(loss(batch), abs=1e-6)
+    other = batch._replace(mot_image=1 - batch.mot_image)
+    assert abs(loss(other) - loss(batch)) > 1e-3
+
+
+def test_the_mean_light_scores_one_against_itself(small_dataset: Path) -> None:
+    stage = LightmapStage(small_dataset, PRESETS["tiny"], seed=0, workers=0)
+    value, figures, pictures = stage.validate(stage.network.eval())
+    assert value == figures["light / mean light"] > 0
+    assert pictures["light"].shape[0] == 3
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["speech", "DATA"], "STAGE: speech: choose tracker, lightmaps, reconstruct, joint or all"),
+        (["tracker", "DATA", "--preset", "huge"], "--preset: huge: choose tiny, small or full"),
+        (["tracker", "DATA", "--precision", "8"], "--precision: 8: choose 32-true"),
+        (["tracker", "DATA", "--learning-rate", "0"], "--learning-rate: 0.0: give a number"),
+        (["tracker", "DATA", "--device", "cuda"], "PyTorch finds no CUDA device here"),
+        (["tracker", "nowhere"], "nowhere"),
+        (["tracker", "DATA", "--batch", "3", "--devices", "2"], "give a multiple of the 2 devices"),
+    ],
+)
+def test_bad_input_is_one_line(
+    totalediting: Run, small_dataset: Path, tmp_path: Path, arguments: list[str], said: str
+) -> None:
+    if "cuda" in arguments and torch.cuda.is_available():
+        pytest.skip("there is a GPU here")
+    given = [str(small_dataset) if a == "DATA" else a for a in arguments]
+    assert said in totalediting("train", *given, "--out", tmp_path / "run").error
+    assert not (tmp_path / "run").exists()
+
+
+def test_another_preset_in_the_folder_is_refused(
+    totalediting: Run, small_dataset: Path, tmp_path: Path
+) -> None:
+    run = ["train", "tracker", small_dataset, "--out", tmp_path, "--batch", 2, "--workers", 0]
+    assert totalediting(*run, "--steps", 1).returncode == 0
+    assert (
+        "was trained with preset = tiny, not small"
+        in totalediting(*run, "--steps", 1, "--preset", "small").error
+    )
+
+
+def test_every_stage_has_a_schedule() -> None:
+    assert stages.STAGES == ("tracker", "lightmaps", "reconstruct", "joint")
+
+
+def test_all_stages_in_order_and_the_joint_one_goes_on_from_them(
+    totalediting: Run, small_dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(perceptual, "fetch", _missing)
+    monkeypatch.setattr(recognition, "fetch", _missing)
+    run = ["train", "all", small_dataset, "--out", tmp_path / "run", "--batch", 1]
+    said = totalediting(*run, "--steps", 2, "--workers", 0)
+    assert said.returncode == 0, said.stderr
+    assert "without lpips: lpips_alex: not here" in said.stdout
+    assert "without identity: sface: not here" in said.stdout
+    assert {p.name for p in (tmp_path / "run").iterdir()} == set(stages.STAGES)
+    alone = ["train", "joint", small_dataset, "--out", tmp_path / "other", "--batch", 1]
+    assert "holds no trained model" in totalediting(*alone, "--workers", 0).error
+
+
+def test_every_joint_term_reaches_what_it_should(
+    small_dataset: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Adversaries descend on their own parameters; the estimator learns from the result."""
+    monkeypatch.setattr(perceptual, "fetch", _missing)
+    monkeypatch.setattr(recognition, "fetch", _missing)
+    torch.manual_seed(0)
+    weights = dataclasses.replace(losses.OURS, adversarial_from=0, tv=0.0, density_normal=0.0)
+    stage = JointStage(small_dataset, PRESETS["tiny"], seed=0, workers=0, weights=weights)
+    batch = next(stage.batches(0, 1, 0, 1))
+    _, scalars = stage.loss(stage.network, batch, 16)
+    assert {"final", "mask", "albedo", "normal", "lightmap", "adversarial", "critic"} <= set(
+        scalars
+    )
+
+    critic = list(stage.network.discriminator.parameters())
+    edit = edit_of(stage.network.model, batch, None)
+    fooled, own = stage._adversarial(edit, batch, 1)
+    assert all(
+        g is None for g in torch.autograd.grad(fooled, critic, allow_unused=True, retain_graph=True)
+    )
+    model = [p for p in stage.network.model.parameters() if p.requires_grad]
+    assert any(
+        g is not None
+        for g in torch.autograd.grad(fooled, model, allow_unused=True, retain_graph=True)
+    )
+    assert all(
+        g is None for g in torch.autograd.grad(own, model, allow_unused=True, retain_graph=True)
+    )
+    assert all(g is not None for g in torch.autograd.grad(own, critic, allow_unused=True))
+
+    final = dataclasses.replace(weights, **{name: 0.0 for name in losses.TERMS if name != "final"})
+    stage.weights = final
+    stage.loss(stage.network, batch, 1)[0].backward()
+    assert any(p.grad is not None for p in stage.network.estimator.lobe.parameters())
+    assert all(p.grad is None for p in stage.network.estimator.to_normal.parameters())
+
+
+def _missing(name: str, path: object = None) -> Path:
+    raise NetworkError(f"{name}: not here")
+
+
+def test_a_trained_run_is_shown(totalediting: Run, small_dataset: Path, tmp_path: Path) -> None:
+    for stage in ("lightmaps", "reconstruct"):
+        run = ["train", stage, small_dataset, "--out", tmp_path / "run", "--batch", 1]
+        assert totalediting(*run, "--steps", 1, "--workers", 0).returncode == 0
+    page = showcase.draw(tmp_path / "run", small_dataset, tmp_path / "page.png", 2, "validation")
+    with Image.open(page) as picture:
+        assert picture.width > 11 * 128 and picture.height > 2 * 128
+    missing = totalediting("show", tmp_path / "nothing", small_dataset).error
+    assert "nothing was trained there" in missing

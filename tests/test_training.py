@@ -1,0 +1,109 @@
+"""The training loop: it learns, resumes to the bit, survives SIGKILL and losses of NaN."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+from toy_training import SCHEDULE, Line
+
+from totalediting import checkpoints
+from totalediting.errors import InputError
+from totalediting.training import learning_rate, train
+
+FACTS = {"data": "line"}
+SCRIPT = Path(__file__).parent / "toy_training.py"
+
+
+def losses(run: Path) -> list[tuple[int, float]]:
+    lines = [json.loads(line) for line in (run / "losses.jsonl").read_text().splitlines()]
+    return [(line["step"], line["loss"]) for line in lines]
+
+
+def weights(run: Path) -> dict[str, torch.Tensor]:
+    found = checkpoints.latest(run)
+    assert found is not None and found.step == SCHEDULE.steps
+    return found.model
+
+
+@pytest.fixture(scope="module")
+def uninterrupted(tmp_path_factory) -> Path:
+    run = tmp_path_factory.mktemp("whole")
+    train(Line(), run, SCHEDULE, 0, FACTS)
+    return run
+
+
+def test_it_learns(uninterrupted: Path) -> None:
+    curve = [loss for _, loss in losses(uninterrupted)]
+    assert len(curve) == SCHEDULE.steps
+    assert sum(curve[-10:]) < 0.2 * sum(curve[:10])
+    assert list((uninterrupted / "tensorboard").iterdir())
+
+
+def test_in_pieces_it_is_the_same_to_the_bit(uninterrupted: Path, tmp_path: Path) -> None:
+    for _ in range(4):
+        train(Line(), tmp_path, SCHEDULE, 0, FACTS, stop_after=17)
+    assert losses(tmp_path) == losses(uninterrupted)
+    for name, value in weights(uninterrupted).items():
+        assert torch.equal(value, weights(tmp_path)[name])
+
+
+def test_killed_at_any_step_it_goes_on_as_if_nothing_had_been(
+    uninterrupted: Path, tmp_path: Path
+) -> None:
+    for killed, code in ((33, -9), (-1, 0)):
+        command = [sys.executable, str(SCRIPT), str(tmp_path), "1", str(killed)]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+        assert done.returncode == code, done.stderr
+    assert losses(tmp_path) == losses(uninterrupted)
+    for name, value in weights(uninterrupted).items():
+        assert torch.equal(value, weights(tmp_path)[name])
+
+
+def test_two_processes_train_one_network(tmp_path: Path) -> None:
+    command = [sys.executable, str(SCRIPT), str(tmp_path), "2", "-1"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=240, check=False)
+    assert done.returncode == 0, done.stderr
+    curve = [loss for _, loss in losses(tmp_path)]
+    assert len(curve) == SCHEDULE.steps
+    assert sum(curve[-10:]) < 0.2 * sum(curve[:10])
+
+
+def test_a_step_whose_loss_is_no_number_changes_nothing(tmp_path: Path) -> None:
+    stage = Line(broken=range(5))
+    before = {name: value.clone() for name, value in stage.network.state_dict().items()}
+    train(stage, tmp_path, SCHEDULE, 0, FACTS, stop_after=5)
+    for name, value in stage.network.state_dict().items():
+        assert torch.equal(before[name], value)
+
+
+def test_a_loss_that_stays_no_number_ends_in_one_line(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"no number 20 times in a row at step 4\d") as error:
+        train(Line(broken=range(25, 99)), tmp_path, SCHEDULE, 0, FACTS)
+    assert "\n" not in str(error.value)
+    assert checkpoints.latest(tmp_path).step == 40  # pyright: ignore[reportOptionalMemberAccess]
+
+
+def test_another_seed_or_preset_in_the_folder_is_refused(tmp_path: Path) -> None:
+    train(Line(), tmp_path, SCHEDULE, 0, FACTS, stop_after=1)
+    with pytest.raises(InputError, match="trained with seed = 0, not 1"):
+        train(Line(), tmp_path, SCHEDULE, 1, FACTS)
+
+
+def test_the_average_is_what_is_validated(uninterrupted: Path) -> None:
+    found = checkpoints.latest(uninterrupted)
+    assert found is not None
+    stage = Line()
+    stage.network.load_state_dict(found.average)
+    assert stage.validate(stage.network.eval())[0] == found.facts["figures"]["error"]
+
+
+def test_the_learning_rate_rises_and_falls() -> None:
+    rates = [learning_rate(SCHEDULE, step) for step in range(SCHEDULE.steps)]
+    assert rates[0] == pytest.approx(0.01)
+    assert max(rates) == rates[SCHEDULE.warmup] == pytest.approx(0.05)
+    assert rates[-1] < 0.1 * rates[SCHEDULE.warmup]

@@ -1,0 +1,122 @@
+"""The appearance encoder E_app: a picture to a coarse global and a fine detail map.
+
+    F_app = E_app(I_app)                                            (paper, section 3.2)
+
+Symbols: B batch, S side of the picture. The picture is display-referred RGB in [0, 1]; both
+branches see it in [-1, 1] together with x and y of each pixel, five channels. The design is that of
+the paper's baseline (Portrait4D, Deng et al. 2024, after Lp3D, Trevithick et al. 2023): a ResNet-34
+with the dilations and the atrous pyramid of DeepLabv3 (Chen et al. 2017) sees what is where, five
+convolutions at half the side keep what is fine. The norms are over groups, not over the batch.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from totalediting.blocks import ResidualBlock, conv, conv_norm, coordinates, norm
+from totalediting.presets import Preset
+
+_CHANNELS = 5  # of what the branches see
+_DEPTHS = (3, 4, 6, 3)  # blocks in the stages of ResNet-34, for pictures of _SIDE
+_SIDE = 512
+
+
+class Appearance(NamedTuple):
+    """What is known of I_app's appearance."""
+
+    global_: Tensor
+    """(B, global_channels, S / 8, S / 8): what is where."""
+    detail: Tensor
+    """(B, detail_channels, S / 2, S / 2): texture and edges."""
+
+
+class AppearanceEncoder(nn.Module):
+    """E_app: pictures (B, 3, S, S) in [0, 1] to `Appearance`."""
+
+    xy: Tensor
+
+    def __init__(self, preset: Preset) -> None:
+        """Build for pictures of side `preset.image`.
+
+        Raises:
+            ValueError: that side is not a multiple of 16, or `global_channels` is not one of 4.
+        """
+        super().__init__()
+        if preset.image % 16 or preset.global_channels % 4:
+            raise ValueError(
+                f"image {preset.image} must be a multiple of 16, "
+                f"global_channels {preset.global_channels} of 4"
+            )
+        self.register_buffer("xy", coordinates(preset.image, preset.image), persistent=False)
+        self.trunk = _trunk(preset)
+        self.pyramid = _AtrousPyramid(2 * preset.global_channels, preset)
+        self.detail = _detail(preset.detail_channels)
+
+    def forward(self, image: Tensor) -> Appearance:
+        """Encode pictures (B, 3, S, S) in [0, 1].
+
+        Raises:
+            ValueError: another shape.
+        """
+        side = self.xy.shape[-1]
+        if image.ndim != 4 or image.shape[1:] != (3, side, side):
+            raise ValueError(f"image must be (B, 3, {side}, {side}), got {tuple(image.shape)}")
+        seen = torch.cat([2 * image - 1, self.xy.to(image).expand(len(image), -1, -1, -1)], 1)
+        return Appearance(self.pyramid(self.trunk(seen)), self.detail(seen))
+
+
+def _trunk(preset: Preset) -> nn.Sequential:
+    """(B, 5, S, S) -> (B, 2 global_channels, S / 8, S / 8): ResNet-34 with an output stride of 8.
+
+    Widths are ResNet-34's where global_channels is 256. A picture of half the side gets half the
+    blocks, so that a feature sees about the same share of it.
+    """
+    width = preset.global_channels // 4
+    layers = [conv(_CHANNELS, width, 7, 2), norm(width), nn.ReLU(), nn.MaxPool2d(3, 2, 1)]
+    widths = (width, width, 2 * width, 4 * width, 8 * width)
+    strides, dilations = (1, 2, 1, 1), (1, 1, 2, 4)
+    for depth, (channels, out), stride, dilation in zip(
+        _DEPTHS, pairwise(widths), strides, dilations, strict=True
+    ):
+        layers.append(ResidualBlock(channels, out, stride, dilation))
+        more = max(1, round(depth * preset.image / _SIDE)) - 1
+        layers += [ResidualBlock(out, out, 1, dilation) for _ in range(more)]
+    return nn.Sequential(*layers)
+
+
+def _detail(out: int) -> nn.Sequential:
+    """(B, 5, S, S) -> (B, out, S / 2, S / 2): five convolutions, without norms, as in Lp3D."""
+    layers: list[nn.Module] = [conv(_CHANNELS, out, 7, 2)]
+    for _ in range(4):
+        layers += [nn.LeakyReLU(0.01), conv(out, out)]
+    return nn.Sequential(*layers)
+
+
+class _AtrousPyramid(nn.Module):
+    """DeepLabv3's head: (B, C, h, h) -> (B, global_channels, h, h).
+
+    3x3 convolutions at three dilations, a 1x1 convolution and the mean of the map are joined. The
+    dilations are DeepLabv3's 12, 24 and 36 on a map of side 64, and in proportion on smaller ones.
+    """
+
+    def __init__(self, channels: int, preset: Preset) -> None:
+        super().__init__()
+        out = preset.global_channels
+        self.point = nn.Sequential(conv(channels, out, 1), norm(out), nn.ReLU())
+        rates = (max(1, round(rate * preset.image / _SIDE)) for rate in (12, 24, 36))
+        self.rings = nn.ModuleList(conv_norm(channels, out, 1, rate) for rate in rates)
+        # No norm: on a map of one pixel it would take the mean's magnitude away.
+        self.mean = nn.Sequential(nn.AdaptiveAvgPool2d(1), conv(channels, out, 1), nn.ReLU())
+        self.join = nn.Sequential(
+            conv(5 * out, out, 1), norm(out), nn.ReLU(), conv_norm(out, out), conv(out, out, 1)
+        )
+
+    def forward(self, x: Tensor) -> Tensor:
+        parts = [self.point(x), *(ring(x) for ring in self.rings)]
+        mean = functional.interpolate(self.mean(x), size=x.shape[-2:])
+        return self.join(torch.cat([*parts, mean], 1))

@@ -1,0 +1,173 @@
+"""Training pairs from synthetic shards: two shots of one subject, with all that is known of them.
+
+Model space, camera space and resizing as in `totalediting.shots`; S = side of pictures, V = control
+points, h = rows of a lightmap, of `Preset.image` and `Preset.lightmap_height`. The motion shot is
+the target I*: what is asked of the model is the appearance shot's person in the motion shot's pose,
+view and light (paper, section 4.1). In a multi-view subset the two are two views of one pose, in a
+video subset two moments.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from torch import Tensor
+
+from totalediting import shots
+from totalediting.field import Control
+from totalediting.numbered import Numbered, Unreadable
+from totalediting.presets import Preset
+from totalediting.shots import Shots, head_centre
+
+DAMAGE = (ValueError, KeyError, OSError)
+"""What a damaged or missing file makes readers raise."""
+
+
+class Relit(NamedTuple):
+    """The motion shot in another of its environments; all else is the same."""
+
+    image: Tensor
+    """(3, S, S)"""
+    lightmaps: Tensor
+    """(5, 3, h, 2h), as `Sample.lightmaps`."""
+
+
+class Sample(NamedTuple):
+    """One training example; a batch has a leading axis B in all."""
+
+    app_image: Tensor
+    """I_app (3, S, S), display-referred in [0, 1]."""
+    mot_image: Tensor
+    """I_mot and target I* (3, S, S)."""
+    albedo: Tensor
+    """(3, S, S) linear, in [0, 1]; of the motion shot, as all that follows but `app_code`."""
+    normal: Tensor
+    """(3, S, S) unit, model space; 0 where nothing is."""
+    alpha: Tensor
+    """(1, S, S) coverage."""
+    parts: Tensor
+    """(1, S, S) uint8, the ids of docs/conventions.md."""
+    depth: Tensor
+    """(1, S, S) planar, metres; 0 where nothing is."""
+    canonical: Tensor
+    """(3, S, S) canonical positions in model space; 0 where nothing is."""
+    points: Tensor
+    """(5, 2) pixels of side S: eyes, nose, corners of the mouth, see `recognition.five_points`."""
+    app_code: Tensor
+    """e_app (54,)"""
+    mot_code: Tensor
+    """e_mot (54,)"""
+    camera_to_world: Tensor
+    """(4, 4) to model space."""
+    intrinsics: Tensor
+    """(3, 3) in pixels of side S."""
+    control: Control
+    """(V, 3) each, model space."""
+    lightmaps: Tensor
+    """(5, 3, h, 2h) normalised, model space's axes, exposed: shading is display-exposed light."""
+    relit: Relit | None
+    """With `PortraitPairs(relit=True)`."""
+    key: str
+    """Of the motion shot, "<subset>/<shot>"."""
+    app_key: str
+    """Of the appearance shot."""
+
+
+class PortraitPairs(Numbered[Sample]):
+    """`Sample`s of a dataset's split; each shot is the motion shot once per epoch.
+
+    The appearance shot is another one of the same subject, where there is one; the environments of
+    the two are drawn independently of each other.
+    """
+
+    def __init__(
+        self,
+        folder: Path | str,
+        preset: Preset,
+        split: str = "train",
+        seed: int = 0,
+        subset: str | None = None,
+        relit: bool = False,
+    ) -> None:
+        """`relit` adds the motion shot in another environment, in the same where it has but one.
+
+        Raises:
+            InputError: no dataset, one of another format, no such split or subset, an empty one.
+        """
+        self.shots = Shots(folder, split, subset)
+        super().__init__(self.shots.keys, seed)
+        self.side, self.rows, self.relit = preset.image, preset.lightmap_height, relit
+        self._of_subject: dict[str, list[int]] = {}
+        for position, subject in enumerate(self.shots.subjects):
+            self._of_subject.setdefault(subject, []).append(position)
+
+    def make(self, item: int, rng: np.random.Generator) -> Sample:
+        """The sample whose motion shot is number `item`; raises `Unreadable`."""
+        same = [other for other in self._of_subject[self.shots.subjects[item]] if other != item]
+        other = int(rng.choice(same)) if same else item
+        count = self.shots.environments(item)
+        app_light, mot_light = (int(light) for light in rng.integers(count, size=2))
+        another = (mot_light + 1 + int(rng.integers(max(count - 1, 1)))) % count
+        try:
+            app_image, app_code = self._appearance(other, app_light)
+        except DAMAGE as error:
+            raise Unreadable(other, reason(error)) from error
+        try:
+            return self._sample(item, mot_light, another, other, app_image, app_code)
+        except DAMAGE as error:
+            raise Unreadable(item, reason(error)) from error
+
+    def _appearance(self, position: int, light: int) -> tuple[Tensor, Tensor]:
+        rgb = f"rgb_{light:02d}"
+        stored = self.shots.read(position, rgb, "meta")
+        return shots.picture(stored[rgb], self.side), shots.motion_code(stored["meta"])
+
+    def _sample(
+        self, item: int, light: int, another: int, other: int, app_image: Tensor, app_code: Tensor
+    ) -> Sample:
+        rgb, rgb_relit = f"rgb_{light:02d}", f"rgb_{another:02d}"
+        labels = (
+            "albedo", "normal", "depth", "canonical", "alpha", "parts", "geometry", "meta",
+        )  # fmt: skip
+        wanted = {rgb, rgb_relit, *labels} if self.relit else {rgb, *labels}
+        stored = self.shots.read(item, *sorted(wanted))
+        meta, parts, side = stored["meta"], stored["parts"], self.side
+        origin = head_centre(stored["geometry"]["landmarks_canonical"])
+        camera_to_world, intrinsics = shots.camera(meta, origin, side)
+        normal = shots.normals(stored["normal"], parts, side)
+        relit = None
+        if self.relit:
+            relit = Relit(
+                shots.picture(stored[rgb_relit], side),
+                self.shots.lightmaps(meta, another, self.rows),
+            )
+        return Sample(
+            app_image=app_image,
+            mot_image=shots.picture(stored[rgb], side),
+            albedo=shots.albedo(stored["albedo"], side),
+            normal=(camera_to_world[:3, :3] @ normal.flatten(1)).view_as(normal),
+            alpha=shots.alpha(stored["alpha"], side),
+            parts=shots.parts(parts, side),
+            depth=shots.over_surface(stored["depth"][..., None], parts, side),
+            canonical=shots.over_surface(stored["canonical"] - origin, parts, side),
+            points=shots.five_points(meta, side),
+            app_code=app_code,
+            mot_code=shots.motion_code(meta),
+            camera_to_world=camera_to_world,
+            intrinsics=intrinsics,
+            control=shots.control(stored["geometry"], origin),
+            lightmaps=self.shots.lightmaps(meta, light, self.rows),
+            relit=relit,
+            key=self.keys[item],
+            app_key=self.keys[other],
+        )
+
+
+def reason(error: BaseException) -> str:
+    """An error in one short line."""
+    if isinstance(error, KeyError):
+        return f"no {error.args[0]}"
+    lines = str(error).strip().splitlines()
+    return lines[0][:200] if lines else type(error).__name__

@@ -1,0 +1,240 @@
+"""Point-wise decoders: what a point of the volume is, from the tri-planes' features there.
+
+Symbols: B batch, N points, C = preset.plane_channels, h rows of a lightmap; t_geo, t_shd features
+of the two tri-planes (B, N, C). Vectors are unit and in model space (metres, Z up), posed unless
+called canonical: normal n, view v (from the point to the viewer), r = v reflected at n. Lightmaps
+have a frame of their own, into which `to_light` takes model space. Light, colour and shadings are
+linear Rec.709, or display-referred where `preset.colour` is "srgb".
+
+    sigma = D_geo(t_geo)                        n^c, a, w = D_f(t_shd)
+    k_d = D_d([t_shd, n])                       k_s(e) = D_s([t_shd, r])
+    delta = D_delta([a, s_d, s_s(e) ...])
+    c = k_d a * s_d + sum_e k_s(e) s_s(e) + delta                (paper, section 3.3, eq. render)
+
+Hidden layers are Softplus, as in EG3D (Chan et al. 2022). First and last layers are drawn so that a
+fresh network is a translucent fog (`FRESH`) with k_d = 1, small k_s and no residual.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from totalediting.blocks import linear
+from totalediting.lightmaps import LOBES, SHININESS, encode, sample
+from totalediting.phong import reflect
+from totalediting.presets import Preset
+
+DENSITY_SCALE = 50.0
+"""1/metre: density is this times softplus(x - 1).
+
+EG3D's density is per side of its box, ours of 0.6 m, which would be a scale of 1.7 / m. With 50 / m
+a surface that stops 95 % of the light within 5 mm (600 / m) needs only x = 13.
+"""
+FRESH = -3.0
+"""Mean of a fresh x: about 0.9 / m, which stops two fifths of the light across a box of 0.6 m."""
+FRESH_SPECULAR = 0.05
+"""A fresh specular coefficient, about the reflectance of skin at grazing and frontal angles."""
+
+ToPosed = Callable[[Tensor], Tensor]
+"""Turns canonical directions (B, N, 3) into posed ones: `Field.to_posed` at the points."""
+
+
+class Shading(NamedTuple):
+    """What points look like; colours and directions (B, N, 3). See the module for symbols."""
+
+    colour: Tensor
+    """c, the sum of diffuse, specular and residual; the residual may make it negative."""
+    albedo: Tensor
+    """a in [0, 1]."""
+    normal: Tensor
+    """n, unit, posed."""
+    canonical_normal: Tensor
+    """n^c, unit."""
+    diffuse: Tensor
+    """k_d a * s_d."""
+    specular: Tensor
+    """The sum of k_s(e) s_s(e)."""
+    residual: Tensor
+    """delta."""
+    features: Tensor
+    """w (B, N, preset.features), for super-resolution."""
+    k_d: Tensor
+    """(B, N, 1) in [0, 2]."""
+    s_d: Tensor
+    """The diffuse map at n."""
+    k_s: Tensor
+    """(B, N, 4) in [0, 1], by exponents."""
+    s_s: Tensor
+    """(B, N, 4, 3): the specular maps at r."""
+
+
+class GeometryDecoder(nn.Module):
+    """D_geo: features (B, N, C) to density sigma (B, N) in 1/metre, positive."""
+
+    def __init__(self, preset: Preset) -> None:
+        super().__init__()
+        self.net = _mlp(preset.plane_channels, preset.hidden, 1)
+        _start(self.net, [FRESH], 1.0)
+
+    def forward(self, features: Tensor) -> Tensor:
+        return DENSITY_SCALE * functional.softplus(self.net(features)[..., 0] - 1.0)
+
+
+class ShadingDecoder(nn.Module):
+    """D_shd of the paper's figure "Shading module": D_f, D_d, D_s and D_delta around lightmaps.
+
+    D_delta sees shadings as log(1 + s), the scale that lightmaps are predicted in: beside a sun of
+    1000, an albedo would be nothing to it.
+    """
+
+    def __init__(self, preset: Preset) -> None:
+        super().__init__()
+        channels, hidden = preset.plane_channels, preset.hidden
+        self.surface = _surface(preset)
+        self.diffuse = _mlp(channels + 3, hidden, 1)
+        _start(self.diffuse, [0.0], 0.05)
+        self.specular = _mlp(channels + 3, hidden, len(SHININESS))
+        unlit = math.log(FRESH_SPECULAR / (1.0 - FRESH_SPECULAR))
+        _start(self.specular, [unlit] * len(SHININESS), 0.05)
+        self.residual = _mlp(3 + 3 * len(LOBES), hidden, 3)
+        _start(self.residual, [0.0, 0.0, 0.0], 0.0)
+
+    def forward(
+        self, features: Tensor, to_posed: ToPosed, view: Tensor, lightmaps: Tensor, to_light: Tensor
+    ) -> Shading:
+        """Shading of points.
+
+        Args:
+            features: (B, N, C), t_shd.
+            to_posed: turns n^c into n.
+            view: (B, N, 3), v.
+            lightmaps: (B, 5, 3, h, 2h), normalised and >= 0, as `lightmaps.bake` makes them.
+            to_light: (B, 3, 3) rotation from model space into the lightmaps' frame.
+
+        Raises:
+            ValueError: a shape does not fit.
+        """
+        _check(features, view, lightmaps, to_light)
+        direction, albedo, w = self.surface(features).tensor_split((3, 6), -1)
+        canonical, albedo = functional.normalize(direction, dim=-1), torch.sigmoid(albedo)
+        normal = to_posed(canonical)
+        reflected = reflect(view, normal)
+
+        s_d = sample(lightmaps[:, 0], _turn(to_light, normal))
+        s_s = sample(lightmaps[:, 1:].flatten(1, 2), _turn(to_light, reflected))
+        k_d = 2.0 * torch.sigmoid(self.diffuse(torch.cat([features, normal], -1)))
+        k_s = torch.sigmoid(self.specular(torch.cat([features, reflected], -1)))
+        residual = self.residual(torch.cat([albedo, encode(s_d), encode(s_s)], -1))
+
+        s_s = s_s.unflatten(-1, (len(SHININESS), 3))
+        diffuse, specular = k_d * albedo * s_d, (k_s[..., None] * s_s).sum(-2)
+        return Shading(
+            colour=diffuse + specular + residual,
+            albedo=albedo,
+            normal=normal,
+            canonical_normal=canonical,
+            diffuse=diffuse,
+            specular=specular,
+            residual=residual,
+            features=w,
+            k_d=k_d,
+            s_d=s_d,
+            k_s=k_s,
+            s_s=s_s,
+        )
+
+
+class PlainDecoder(nn.Module):
+    """The baseline's colour decoder: colour from t_shd alone, the same in any light.
+
+    Called like `ShadingDecoder`. Colour is Softplus in linear light, sigmoid in display-referred.
+    Albedo is the colour, the normal an output of its own; what only light makes is 0.
+    """
+
+    def __init__(self, preset: Preset) -> None:
+        super().__init__()
+        self.surface = _surface(preset)
+        self.shown = functional.softplus if preset.colour == "linear" else torch.sigmoid
+
+    def forward(
+        self, features: Tensor, to_posed: ToPosed, view: Tensor, lightmaps: Tensor, to_light: Tensor
+    ) -> Shading:
+        """As `ShadingDecoder.forward`; of view, lightmaps and to_light only the shapes count."""
+        _check(features, view, lightmaps, to_light)
+        direction, colour, w = self.surface(features).tensor_split((3, 6), -1)
+        canonical, colour = functional.normalize(direction, dim=-1), self.shown(colour)
+        zero = torch.zeros_like(colour)
+        k_s = zero.new_zeros(*zero.shape[:-1], len(SHININESS))
+        return Shading(
+            colour=colour,
+            albedo=colour,
+            normal=to_posed(canonical),
+            canonical_normal=canonical,
+            diffuse=zero,
+            specular=zero,
+            residual=zero,
+            features=w,
+            k_d=zero[..., :1],
+            s_d=zero,
+            k_s=k_s,
+            s_s=k_s[..., None].expand(*k_s.shape, 3),
+        )
+
+
+class Decoders(nn.Module):
+    """D_geo as `geometry` and D_shd as `shading`, the kind that `preset.decoder` names."""
+
+    def __init__(self, preset: Preset) -> None:
+        super().__init__()
+        self.geometry = GeometryDecoder(preset)
+        plain = preset.decoder == "plain"
+        self.shading = PlainDecoder(preset) if plain else ShadingDecoder(preset)
+
+
+def _mlp(inputs: int, hidden: int, outputs: int) -> nn.Sequential:
+    return nn.Sequential(linear(inputs, hidden), nn.Softplus(), linear(hidden, outputs))
+
+
+def _surface(preset: Preset) -> nn.Sequential:
+    """Features to a direction, colour before its activation, and w: 3 + 3 + preset.features."""
+    net = _mlp(preset.plane_channels, preset.hidden, 6 + preset.features)
+    # Normals start towards the face's side: one near zero would turn with every step.
+    _start(net, [0.0, -1.0, 0.0] + [0.0] * (3 + preset.features), 1.0)
+    return net
+
+
+@torch.no_grad()
+def _start(net: nn.Sequential, values: list[float], spread: float) -> None:
+    """Let a fresh `net` give about `values`; `spread` scales what its last layer adds to them."""
+    last = net[-1]
+    assert isinstance(last, nn.Linear)
+    # Softplus is log 2 at 0, and what all hidden units have in common would shift the values.
+    last.weight.sub_(last.weight.mean(1, keepdim=True)).mul_(spread)
+    last.bias.copy_(torch.tensor(values))
+
+
+def _turn(to_light: Tensor, directions: Tensor) -> Tensor:
+    """Directions (B, N, 3) in the lightmaps' frame. Written out: TF32 would round them."""
+    x, y, z = directions.split(1, -1)
+    right, up, back = to_light[:, None].unbind(-1)
+    return x * right + y * up + z * back
+
+
+def _check(features: Tensor, view: Tensor, lightmaps: Tensor, to_light: Tensor) -> None:
+    if features.ndim != 3:
+        raise ValueError(f"features must be (B, N, C), got {tuple(features.shape)}")
+    batch, points = features.shape[:2]
+    if view.shape != (batch, points, 3):
+        raise ValueError(f"view must be {(batch, points, 3)}, got {tuple(view.shape)}")
+    if lightmaps.ndim != 5 or lightmaps.shape[:3] != (batch, len(LOBES), 3):
+        raise ValueError(
+            f"lightmaps must be ({batch}, {len(LOBES)}, 3, h, 2h), got {tuple(lightmaps.shape)}"
+        )
+    if to_light.shape != (batch, 3, 3):
+        raise ValueError(f"to_light must be {(batch, 3, 3)}, got {tuple(to_light.shape)}")

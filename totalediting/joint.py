@@ -1,0 +1,170 @@
+"""The joint stage: everything together, L = L_rec + L_reg + L_adv (paper, supplement A).
+
+The model goes on from the stage `reconstruct`, the lightmap estimator from `lightmaps`, without its
+normal decoder. In every other step the light is what the estimator sees in the driver's picture, so
+that it learns from the result as well; else it is the truth.
+
+The discriminator is trained in the same step by the same optimiser: the generator's term passes
+through a copy of its weights that receives no gradient, its own terms see pictures that receive
+none. So the two descend at once rather than in turns, and a run has one state to save.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import torch
+from torch import Tensor, nn
+from torch.func import functional_call
+from torch.nn import functional
+
+from totalediting import checkpoints, discriminator, illumination, losses
+from totalediting.data import Sample
+from totalediting.discriminator import Discriminator
+from totalediting.illumination import LightmapEstimator
+from totalediting.lightmaps import encode, rotate
+from totalediting.model import Edit, TotalEditing
+from totalediting.perceptual import Lpips
+from totalediting.presets import Preset
+from totalediting.recognition import Recognition
+from totalediting.reconstruction import Pairs, edit_of, generator_on, terms, validate
+from totalediting.weights import NetworkError
+
+R1_EVERY = 16
+"""Steps between penalties of the discriminator's gradient, each of which counts as many times."""
+R1 = 1.0
+"""Their gamma, EG3D's for faces of 128 pixels."""
+
+
+Loss = tuple[Tensor, dict[str, float]]
+
+
+class Joint(nn.Module):
+    """Model, estimator and discriminator, which learn together.
+
+    Its `forward` is the objective itself: what several processes share must pass through it.
+    """
+
+    def __init__(
+        self,
+        preset: Preset,
+        faces: Tensor | None,
+        objective: Callable[[Sample, int], Loss],
+    ) -> None:
+        super().__init__()
+        self.objective = objective
+        self.model = TotalEditing(preset, faces)
+        self.estimator = LightmapEstimator(preset)
+        self.discriminator = Discriminator(preset)
+        for part in (self.estimator.up, self.estimator.to_normal):
+            part.requires_grad_(False)
+
+    def forward(self, batch: Sample, step: int) -> Loss:
+        return self.objective(batch, step)
+
+
+class JointStage(Pairs):
+    """L_rec + L_reg + L_adv on pairs of one person.
+
+    `off` names the terms whose networks are not at hand, and why.
+    """
+
+    name = "joint"
+
+    def __init__(
+        self,
+        data: Path,
+        preset: Preset,
+        seed: int,
+        workers: int = 1,
+        faces: Tensor | None = None,
+        weights: losses.LossWeights = losses.OURS,
+    ) -> None:
+        super().__init__(data, preset, seed, workers)
+        self.weights = weights
+        self.network = Joint(preset, faces, self._objective)
+        self.texels = illumination.texel_weights(preset.lightmap_height)
+        self.off: dict[str, str] = {}
+        self.lpips = self._others("lpips", lambda: Lpips("alex"))
+        self.recognition = self._others("identity", Recognition)
+
+    def start_from(self, run: Path) -> None:
+        """Take what the stages `reconstruct` and `lightmaps` of a run have learnt.
+
+        Raises:
+            InputError: one of them was not trained there.
+        """
+        for part, stage in (
+            (self.network.model, "reconstruct"),
+            (self.network.estimator, "lightmaps"),
+        ):
+            part.load_state_dict(checkpoints.best(run / stage).average)
+
+    def loss(self, network: nn.Module, batch: Sample, step: int) -> Loss:
+        return network(batch, step)
+
+    def _objective(self, batch: Sample, step: int) -> Loss:
+        joint, factors = self.network, self.weights.at(step)
+        generator = generator_on(batch.app_image.device)
+        to_camera = batch.camera_to_world[:, :3, :3].mT
+        code = joint.estimator(batch.mot_image).code
+        seen, to_light = None, None
+        if step % 2:
+            maps = code.clamp_min(0).expm1()
+            seen = illumination.unfold(maps, joint.estimator.height)
+            to_light = to_camera
+        edit = edit_of(joint.model, batch, generator, seen, to_light)
+        found = terms(joint.model, edit, batch, factors, generator)
+        truth = rotate(batch.lightmaps, batch.camera_to_world[:, :3, :3])
+        weights = self.texels.to(code.device)
+        found["lightmap"] = losses.lightmap_loss(code, encode(illumination.fold(truth)), weights)
+        image, target = batch.alpha * edit.image, batch.alpha * batch.mot_image
+        if self.lpips is not None:
+            found["lpips"] = self.lpips.to(image.device)(image, target).mean()
+        if self.recognition is not None and factors["identity"]:
+            recognition = self.recognition.to(image.device)
+            with torch.no_grad():
+                wanted = recognition.features(target, batch.points)
+            found["identity"] = losses.identity_loss(
+                recognition.features(image, batch.points), wanted
+            )
+        critic: Tensor | float = 0.0
+        if factors["adversarial"]:
+            found["adversarial"], critic = self._adversarial(edit, batch, step)
+        total = losses.total(found, self.weights, step)
+        scalars = total.scalars | ({"critic": critic.item()} if isinstance(critic, Tensor) else {})
+        return total.loss + critic, scalars
+
+    def validate(self, network: nn.Module) -> tuple[float, dict[str, float], dict[str, Tensor]]:
+        return validate(self.network.model, self.held_out)
+
+    def _adversarial(self, edit: Edit, batch: Sample, step: int) -> tuple[Tensor, Tensor]:
+        """The generator's term, and the discriminator's own with its penalty."""
+        critic, side = self.network.discriminator, batch.mot_image.shape[-1]
+        camera = discriminator.camera_code(batch.camera_to_world, batch.intrinsics, side)
+        rendering = edit.rendering
+        made = discriminator.stack(
+            batch.alpha * edit.image, edit.foreground, rendering.canonical, rendering.opacity
+        )
+        size = edit.raw.shape[-2:]
+        target = batch.alpha * batch.mot_image
+        small = [
+            functional.interpolate(part, size, mode="area")
+            for part in (target, batch.canonical * batch.alpha, batch.alpha)
+        ]
+        real = discriminator.stack(target, *small)
+        still = {name: p.detach() for name, p in critic.named_parameters()}
+        fooled = discriminator.generator_loss(functional_call(critic, still, (made, camera)))
+        own = discriminator.discriminator_loss(critic(real, camera), critic(made.detach(), camera))
+        if step % R1_EVERY == 0:
+            own = own + 0.5 * R1 * R1_EVERY * discriminator.r1_penalty(critic, real, camera)
+        return fooled, own
+
+    def _others(self, term: str, make):
+        """A network that others trained, or None, where it cannot be had, with the reason kept."""
+        try:
+            return make().eval()
+        except NetworkError as error:
+            self.off[term] = str(error)
+            return None

@@ -1,0 +1,171 @@
+"""Total-Editing (paper, figure 2): appearance, motion and light of a portrait, each from a source.
+
+    I_app -- E_app --> F_app, detail            e_app, e_mot: codes of motion (E_mot: `motion`)
+    F = F_re(F_de(F_app, e_app), e_mot)         appearance, neutralised, with the other expression
+    T_geo = E_geo(F), T_shd = E_shd(F)          canonical tri-planes
+    T, R from the posed bust                    where samples lie in canonical space, how n turns
+    S_d, S_s(n)                                 light: baked (`lightmaps`) or seen (`illumination`)
+    D_geo, D_shd, volume rendering              sigma, a, n, k_d, k_s, delta, w -> raw picture
+    background, super-resolution                -> the edited picture
+
+Symbols: B batch, S = preset.image, h = preset.neural, V control points, H rows of a lightmap.
+Model space: metres, Z up, the head at rest looks along -Y, its centre is the origin.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from totalediting import deformation, phong
+from totalediting.appearance import AppearanceEncoder
+from totalediting.decoders import Decoders
+from totalediting.field import Control, Field, Table, tabulate
+from totalediting.presets import Preset
+from totalediting.reenactment import Deenactor, Reenactor, fuse
+from totalediting.rendering import BOX_HIGH, BOX_LOW, Rendering, render
+from totalediting.superresolution import Background, SuperResolution, over
+from totalediting.surface_field import surface_field
+from totalediting.triplanes import TriplaneEncoder
+from totalediting.volume import resize_intrinsics
+
+
+class Planes(NamedTuple):
+    """A person with an expression, in canonical space: (B, 3, plane_channels, P, P) each."""
+
+    geometry: Tensor
+    shading: Tensor
+
+
+class Edit(NamedTuple):
+    """The result, and what it came from."""
+
+    image: Tensor
+    """(B, 3, S, S), display-referred; in [0, 1] in evaluation."""
+    raw: Tensor
+    """(B, 3, h, h), display-referred, before super-resolution, over the background."""
+    foreground: Tensor
+    """(B, 3, h, h), display-referred, the subject over black."""
+    rendering: Rendering
+    planes: Planes
+
+
+class TotalEditing(nn.Module):
+    """The model; its `forward` is the paper's figure 2."""
+
+    def __init__(self, preset: Preset, faces: Tensor | None = None) -> None:
+        """`faces` (F, 3), triangles of the bust's control points: for the surface field alone.
+
+        Raises:
+            ValueError: the preset takes the surface field, and there are no faces.
+        """
+        super().__init__()
+        if "surface_field" in (preset.deformation, preset.rotation) and faces is None:
+            raise ValueError("the surface field needs faces, the triangles of the control points")
+        self.preset = preset
+        self.faces = faces
+        self.appearance = AppearanceEncoder(preset)
+        self.deenactor, self.reenactor = Deenactor(preset), Reenactor(preset)
+        self.geometry_encoder, self.shading_encoder = (
+            TriplaneEncoder(preset),
+            TriplaneEncoder(preset),
+        )
+        self.decoders = Decoders(preset)
+        self.background = Background(preset)
+        self.superresolution = SuperResolution(preset)
+
+    def forward(
+        self,
+        app_image: Tensor,
+        e_app: Tensor,
+        e_mot: Tensor,
+        control: Control | None,
+        camera_to_world: Tensor,
+        intrinsics: Tensor,
+        lightmaps: Tensor,
+        to_light: Tensor | None = None,
+        background: Tensor | None = None,
+        generator: torch.Generator | None = None,
+    ) -> Edit:
+        """Show the person of `app_image` with another expression, pose, view and light.
+
+        Args:
+            app_image: I_app (B, 3, S, S) in [0, 1].
+            e_app, e_mot: (B, 54) codes of the motion in I_app and of the motion to show.
+            control: the bust in the pose to show and at rest (B, V, 3), model space; None where it
+                is at rest.
+            camera_to_world: (B, 4, 4) into model space.
+            intrinsics: (B, 3, 3) in pixels of side S.
+            lightmaps: (B, 5, 3, H, 2H), normalised, exposed as the result shall be.
+            to_light: (B, 3, 3) rotation of model space into the lightmaps' frame; None if it is
+                their own.
+            background: (B, 3 + features, h, h) behind the subject; None for that of I_app.
+            generator: scatters the samples of training.
+
+        Raises:
+            ValueError: a shape does not fit.
+        """
+        planes = self.encode(app_image, e_app, e_mot)
+        behind = self.background(app_image) if background is None else background
+        return self.show(
+            planes, control, camera_to_world, intrinsics, lightmaps, to_light, behind, generator
+        )
+
+    def encode(self, app_image: Tensor, e_app: Tensor, e_mot: Tensor) -> Planes:
+        """Appearance and expression to canonical tri-planes."""
+        f_app, detail = self.appearance(app_image)
+        f = fuse(self.deenactor, self.reenactor, f_app, e_app, e_mot)
+        return Planes(self.geometry_encoder(f, detail), self.shading_encoder(f, detail))
+
+    def show(
+        self,
+        planes: Planes,
+        control: Control | None,
+        camera_to_world: Tensor,
+        intrinsics: Tensor,
+        lightmaps: Tensor,
+        to_light: Tensor | None,
+        background: Tensor,
+        generator: torch.Generator | None = None,
+    ) -> Edit:
+        """Tri-planes in a pose, view and light; arguments as of `forward`."""
+        preset, side = self.preset, self.preset.neural
+        if to_light is None:
+            to_light = torch.eye(3).to(lightmaps).expand(len(lightmaps), 3, 3)
+        rendering = render(
+            planes.geometry,
+            planes.shading,
+            self.decoders,
+            camera_to_world,
+            resize_intrinsics(intrinsics, (preset.image, preset.image), (side, side)),
+            lightmaps,
+            to_light,
+            None if control is None else self.deformation(control),
+            preset,
+            generator,
+        )
+        light = rendering.colour
+        foreground = phong.display(light) if preset.colour == "linear" else light
+        raw, features = over(foreground, rendering.features, rendering.opacity, background)
+        return Edit(self.superresolution(raw, features), raw, foreground, rendering, planes)
+
+    def deformation(self, control: Control) -> Table:
+        """T and R of posed busts (B, V, 3), as a table over the rendered box."""
+        preset = self.preset
+
+        def one(name: str, points: Tensor) -> Field:
+            if name == "surface_field":
+                assert self.faces is not None  # seen to by the constructor
+                return surface_field(points, control, self.faces.to(points.device))
+            return deformation.mls(points, control, preset.alpha, clusters=deformation.CLUSTERS)
+
+        def field(points: Tensor) -> Field:
+            moved = one(preset.deformation, points)
+            if preset.rotation in ("none", preset.deformation):
+                return moved
+            return Field(moved.position, one(preset.rotation, points).quaternion)
+
+        low, high = (control.posed.new_tensor(corner) for corner in (BOX_LOW, BOX_HIGH))
+        return tabulate(field, low, high, preset.field, lead=control.posed.shape[:-2])

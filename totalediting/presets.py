@@ -1,0 +1,156 @@
+"""Sizes of the model: one dataclass, three presets. S, N … in comments are symbols of `model`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+
+@dataclass(frozen=True)
+class Preset:
+    """What is built. Lengths in pixels or counts; the paper's own figures are those of `full`."""
+
+    name: str
+    image: int
+    """Side S of pictures that go in and come out."""
+    neural: int
+    """Side of the picture that is volume-rendered, before super-resolution."""
+
+    global_channels: int
+    """Channels of the appearance encoder's global branch, on a grid of side S / 8."""
+    detail_channels: int
+    """Channels of its detail branch, on a grid of side S / 2."""
+    tokens: int
+    """Side of the square grid of tokens that deenactor and reenactor work on."""
+    token_dim: int
+    """Width of a token."""
+    heads: int
+    """Attention heads of every Transformer."""
+    deenact_blocks: int
+    """Blocks of the deenactor."""
+    reenact_blocks: int
+    """Blocks of the reenactor."""
+    motion_tokens: int
+    """Tokens that an expression code becomes."""
+
+    plane_size: int
+    """Side of a tri-plane's planes."""
+    plane_channels: int
+    """Channels of one plane."""
+    plane_blocks: int
+    """ViT blocks of each tri-plane encoder."""
+    hidden: int
+    """Hidden units of the point-wise decoders."""
+    features: int
+    """Extra channels w that enter super-resolution beside colour."""
+    coarse_samples: int
+    """Samples on a ray in the first pass."""
+    fine_samples: int
+    """Samples that importance adds in the second."""
+    upsample_channels: int
+    """Channels of the super-resolution's and the background's convolutions."""
+
+    lightmap_height: int
+    """Rows of a lightmap; it is twice as wide."""
+    light_directions: int
+    """Directions on the sphere that a lobe is embedded by."""
+    lobe_dim: int
+    """Width of the lightmap estimator's tokens."""
+    lobe_blocks: int
+    """Cross-attention blocks of its decoder."""
+
+    alpha: float = 2.0
+    """Fall-off of moving least squares; the paper's 1 is ten times farther from real necks."""
+    field: int = 32
+    """Nodes along an axis of the deformation's table."""
+    deformation: Literal["mls", "surface_field"] = "mls"
+    """What moves points to canonical space."""
+    rotation: Literal["mls", "surface_field", "none"] = "mls"
+    """What turns normals; "none" leaves the canonical ones."""
+    decoder: Literal["phong", "plain"] = "phong"
+    """Decomposed shading, or the baseline's one colour that knows no light."""
+    colour: Literal["linear", "srgb"] = "linear"
+    """Light that shading is composed and rendered in; linear is shown through the display curve."""
+
+
+PRESETS = {
+    preset.name: preset
+    for preset in (
+        Preset(
+            name="tiny",
+            image=128,
+            neural=64,
+            global_channels=64,
+            detail_channels=32,
+            tokens=16,
+            token_dim=128,
+            heads=4,
+            deenact_blocks=2,
+            reenact_blocks=2,
+            motion_tokens=8,
+            plane_size=64,
+            plane_channels=16,
+            plane_blocks=1,
+            hidden=32,
+            features=13,
+            coarse_samples=16,
+            fine_samples=16,
+            upsample_channels=32,
+            lightmap_height=16,
+            light_directions=128,
+            lobe_dim=128,
+            lobe_blocks=2,
+        ),
+        Preset(
+            name="small",
+            image=256,
+            neural=64,
+            global_channels=256,
+            detail_channels=64,
+            tokens=32,
+            token_dim=512,
+            heads=8,
+            deenact_blocks=3,
+            reenact_blocks=3,
+            motion_tokens=32,
+            plane_size=128,
+            plane_channels=32,
+            plane_blocks=2,
+            hidden=64,
+            features=29,
+            coarse_samples=36,
+            fine_samples=36,
+            upsample_channels=64,
+            lightmap_height=32,
+            light_directions=512,
+            lobe_dim=256,
+            lobe_blocks=3,
+        ),
+        Preset(
+            name="full",
+            image=512,
+            neural=128,
+            global_channels=256,
+            detail_channels=96,
+            tokens=32,
+            token_dim=1024,
+            heads=16,
+            deenact_blocks=4,
+            reenact_blocks=4,
+            motion_tokens=64,
+            plane_size=256,
+            plane_channels=32,
+            plane_blocks=5,
+            hidden=64,
+            features=29,
+            coarse_samples=48,
+            fine_samples=48,
+            upsample_channels=128,
+            lightmap_height=64,
+            light_directions=512,
+            lobe_dim=256,
+            lobe_blocks=4,
+        ),
+    )
+}
+"""`tiny` trains in minutes on two cores, `small` on one GPU, `full` has the paper's sizes."""

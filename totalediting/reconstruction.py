@@ -1,0 +1,184 @@
+"""Reconstruction: the model against pairs of pictures of one person, L_rec + L_reg.
+
+Only the subject counts: the two pictures of a pair may have other backgrounds. B, S, h as in
+`totalediting.model`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from totalediting import losses, metrics
+from totalediting.data import PortraitPairs, Sample
+from totalediting.model import Edit, TotalEditing
+from totalediting.numbered import loader, to_device
+from totalediting.presets import Preset
+from totalediting.rendering import density_jitter, density_normals
+from totalediting.showcase import decomposition
+
+_VALIDATED, _AT_ONCE = 64, 8  # pairs, at most, and at once
+_TV_POINTS, _NORMAL_POINTS = 1000, 4096
+
+
+class Pairs:
+    """Training pairs and held-out pairs of a dataset, by step."""
+
+    def __init__(self, data: Path, preset: Preset, seed: int, workers: int) -> None:
+        self.workers = workers
+        self.train = PortraitPairs(data, preset, "train", seed)
+        self.held_out = PortraitPairs(data, preset, "validation")
+
+    @property
+    def skipped(self) -> dict[str, str]:
+        """Training pairs that could not be read, and why."""
+        return self.train.skipped
+
+    def batches(self, first: int, size: int, rank: int, ranks: int) -> Iterator[Sample]:
+        """The batches from step `first` on, this rank's share of each."""
+        start = first * size * ranks
+        return iter(loader(self.train, size, self.workers, start, rank=rank, world=ranks))
+
+
+class ReconstructStage(Pairs):
+    """L_rec + L_reg in true light, without the networks that others trained."""
+
+    name = "reconstruct"
+
+    def __init__(
+        self,
+        data: Path,
+        preset: Preset,
+        seed: int,
+        workers: int = 1,
+        faces: Tensor | None = None,
+        weights: losses.LossWeights = losses.OURS,
+    ) -> None:
+        super().__init__(data, preset, seed, workers)
+        self.weights = weights
+        self.network = TotalEditing(preset, faces)
+
+    def loss(self, network: nn.Module, batch: Sample, step: int) -> tuple[Tensor, dict[str, float]]:
+        generator = generator_on(batch.app_image.device)
+        edit = edit_of(network, batch, generator)
+        found = terms(self.network, edit, batch, self.weights.at(step), generator)
+        total = losses.total(found, self.weights, step)
+        return total.loss, total.scalars
+
+    def validate(self, network: nn.Module) -> tuple[float, dict[str, float], dict[str, Tensor]]:
+        return validate(network, self.held_out)
+
+
+def generator_on(device: torch.device) -> torch.Generator:
+    """A generator there, seeded by the global one on the CPU."""
+    return torch.Generator(device).manual_seed(int(torch.randint(2**31, ())))
+
+
+def edit_of(
+    network: nn.Module,
+    batch: Sample,
+    generator: torch.Generator | None,
+    lightmaps: Tensor | None = None,
+    to_light: Tensor | None = None,
+) -> Edit:
+    """The edit that should be the batch's target; in its true light, or in another."""
+    return network(
+        batch.app_image,
+        batch.app_code,
+        batch.mot_code,
+        batch.control,
+        batch.camera_to_world,
+        batch.intrinsics,
+        batch.lightmaps if lightmaps is None else lightmaps,
+        to_light,
+        generator=generator,
+    )
+
+
+def terms(
+    model: TotalEditing,
+    edit: Edit,
+    batch: Sample,
+    factors: dict[str, float],
+    generator: torch.Generator,
+) -> dict[str, Tensor | None]:
+    """L_1, L_seg, L_a, L_n and the regularisers; those whose factor is 0 are not computed."""
+    rendering, matte, target = edit.rendering, batch.alpha, batch.mot_image
+    side = (model.preset.neural, model.preset.neural)
+
+    def small(picture: Tensor) -> Tensor:
+        return functional.interpolate(picture, side, mode="area")
+
+    small_matte, small_target = small(matte), small(matte * target)
+    phong = model.preset.decoder == "phong"
+    found: dict[str, Tensor | None] = {
+        "final": losses.l1(matte * edit.image, matte * target),
+        "raw": losses.l1(small_matte * edit.raw, small_target),
+        "foreground": losses.l1(edit.foreground, small_target),
+        "mask": losses.mask_loss(rendering.opacity, small_matte),
+        "residual": rendering.residual_l1.mean() if phong else None,
+    }
+    if phong:  # the plain decoder knows neither
+        found["albedo"] = losses.albedo_loss(rendering.albedo, small(batch.albedo), small_matte)
+        found["normal"] = losses.normal_loss(rendering.normal, small(batch.normal), small_matte)
+    planes, geometry = edit.planes.geometry, model.decoders.geometry
+    if factors["tv"]:
+        found["tv"] = losses.tv_loss(*density_jitter(planes, geometry, _TV_POINTS, generator))
+    if factors["density_normal"] and phong:
+        batch_size, device = len(rendering.weights), rendering.weights.device
+        count = rendering.weights[0].numel()
+        chosen = torch.randint(count, (_NORMAL_POINTS,), generator=generator, device=device)
+        points, normals, weights = (
+            a.reshape(batch_size, count, -1)[:, chosen]
+            for a in (rendering.points, rendering.canonical_normals, rendering.weights)
+        )
+        with torch.no_grad():
+            facing = density_normals(planes, geometry, points)
+        found["density_normal"] = losses.density_normal_loss(normals, facing, weights[..., 0])
+    return found
+
+
+def validate(
+    network: nn.Module, pairs: PortraitPairs
+) -> tuple[float, dict[str, float], dict[str, Tensor]]:
+    """Figures on held-out people, the first of them beside that of returning the source."""
+    device = next(network.parameters()).device
+    errors: dict[str, list[Tensor]] = {"psnr": [], "source": [], "normal": [], "albedo": []}
+    picture = None
+    for samples in loader(pairs, _AT_ONCE, stop=min(_VALIDATED, len(pairs))):
+        batch = to_device(samples, device)
+        edit = edit_of(network, batch, None)
+        errors["psnr"].append(metrics.psnr(edit.image, batch.mot_image, batch.alpha))
+        errors["source"].append(metrics.psnr(batch.app_image, batch.mot_image, batch.alpha))
+        size = batch.normal.shape[-2:]
+        normal, albedo = (
+            functional.interpolate(part, size, mode="bilinear")
+            for part in (edit.rendering.normal, edit.rendering.albedo)
+        )
+        errors["normal"].append(metrics.normal_error(normal, batch.normal, batch.alpha))
+        difference = (albedo - batch.alpha * batch.albedo).abs() * batch.alpha
+        errors["albedo"].append(difference.mean((1, 2, 3)) / batch.alpha.mean((1, 2, 3)))
+        picture = picture if picture is not None else edit_picture(batch, edit)
+    found = {name: torch.cat(values) for name, values in errors.items()}
+    figures = {
+        "PSNR": float(found["psnr"].mean()),
+        "PSNR of the source": float(found["source"].mean()),
+        "normal, mean °": float(found["normal"].nanmean()),
+        "albedo, L1": float(found["albedo"].mean()),
+    }
+    assert picture is not None  # a split is never empty
+    return -figures["PSNR"], figures, {"edit": picture}
+
+
+def edit_picture(batch: Sample, edit: Edit) -> Tensor:
+    """(3, H, W): source, truth, result, then what the result is made of."""
+    size = batch.mot_image.shape[-2:]
+    parts = decomposition(edit, batch.camera_to_world).values()
+    large = [functional.interpolate(part, size, mode="bilinear") for part in parts]
+    cells = [batch.app_image, batch.mot_image, batch.alpha * edit.image, *large]
+    rows = torch.cat(cells, -1)[:4]
+    return torch.cat(list(rows), -2).cpu()

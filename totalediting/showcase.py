@@ -1,0 +1,130 @@
+"""A page of what a trained run does: sources, result, truth and decomposition of held-out people.
+
+A row is a pair of pictures of one person who was not trained on. The light that is given is that of
+the driver's panorama; "seen light" is what the lightmap estimator makes of the driver's picture, in
+the driver's camera's frame, where the run has one.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import torch
+from PIL import Image, ImageDraw, ImageFont
+from torch import Tensor
+from torch.nn import functional
+
+from assets_procedural.panorama import replacing
+from totalediting import checkpoints, metrics, phong
+from totalediting.data import PortraitPairs
+from totalediting.errors import InputError
+from totalediting.illumination import LightmapEstimator
+from totalediting.lightmap_pictures import EDGE, FAINT, GAP, INK, PAPER
+from totalediting.model import Edit, TotalEditing
+from totalediting.numbered import collate
+from totalediting.presets import PRESETS, Preset
+
+_TILE = 128
+_SPECULAR = 3  # of the lightmaps, the one that is shown: n = 32
+
+
+def preset_of(run: Path) -> Preset:
+    """The preset that a stage's folder was trained with; `InputError` if it was not trained."""
+    import json
+
+    path = run / "config.json"
+    if not path.exists():
+        raise InputError(f"{run}: nothing was trained there; train it first")
+    return PRESETS[json.loads(path.read_text())["preset"]]
+
+
+def load_model(run: Path) -> TotalEditing:
+    """The model of a run's stage `reconstruct`: its best checkpoint's averaged weights."""
+    folder = run / "reconstruct"
+    model = TotalEditing(preset_of(folder))
+    model.load_state_dict(checkpoints.best(folder).average)
+    return model.eval()
+
+
+def load_estimator(run: Path) -> LightmapEstimator | None:
+    """The lightmap estimator of a run, None if it has none."""
+    folder = run / "lightmaps"
+    if checkpoints.best_step(folder) is None:
+        return None
+    estimator = LightmapEstimator(preset_of(folder))
+    estimator.load_state_dict(checkpoints.best(folder).average)
+    return estimator.eval()
+
+
+@torch.no_grad()
+def draw(run: Path, data: Path, target: Path, rows: int = 6, split: str = "test") -> Path:
+    """Draw the page as PNG; gives its path.
+
+    Raises:
+        InputError: the run has no trained model, or the dataset no such split.
+    """
+    model, estimator = load_model(run), load_estimator(run)
+    pairs = PortraitPairs(data, model.preset, split, seed=1)
+    count = min(rows, len(pairs))
+    batch = collate([pairs[k] for k in range(count)])
+    edit = model(
+        batch.app_image, batch.app_code, batch.mot_code, batch.control,
+        batch.camera_to_world, batch.intrinsics, batch.lightmaps,
+    )  # fmt: skip
+    columns: dict[str, Tensor] = {
+        "source": batch.app_image,
+        "driver": batch.mot_image,
+        "its light": _light(batch.lightmaps),
+        "result": batch.alpha * edit.image,
+        "truth": batch.alpha * batch.mot_image,
+        **decomposition(edit, batch.camera_to_world),
+    }
+    if estimator is not None:
+        columns["seen light"] = _light(estimator.lightmaps(batch.mot_image))
+    score = metrics.psnr(edit.image, batch.mot_image, batch.alpha)
+    alone = metrics.psnr(batch.app_image, batch.mot_image, batch.alpha)
+    title = f"PSNR {float(score.mean()):.1f} dB; of the source itself {float(alone.mean()):.1f} dB"
+    return _page(columns, title, target)
+
+
+def decomposition(edit: Edit, camera_to_world: Tensor) -> dict[str, Tensor]:
+    """Pictures (B, 3, h, h) in [0, 1] of what an edit is made of."""
+    r = edit.rendering
+    distance = camera_to_world[:, :3, 3].norm(dim=-1)[:, None, None, None]
+    near = (0.5 - (r.depth - distance) / 0.5).clamp(0, 1) * r.opacity
+    return {
+        "albedo": phong.display(r.albedo),
+        "normal": 0.5 * r.normal + 0.5 * r.opacity,
+        "diffuse": phong.display(r.diffuse),
+        "specular": phong.display(r.specular),
+        "residual": (0.5 + r.residual).clamp(0, 1),
+        "depth": near.expand(-1, 3, -1, -1),
+    }
+
+
+def _light(maps: Tensor) -> Tensor:
+    """The n = 32 map of lightmaps, at half its brightness."""
+    return phong.display(0.5 * maps[:, _SPECULAR])
+
+
+def _page(columns: dict[str, Tensor], title: str, target: Path) -> Path:
+    widths = {n: _TILE * p.shape[-1] // p.shape[-2] for n, p in columns.items()}
+    rows = len(next(iter(columns.values())))
+    width = 2 * EDGE + sum(widths.values()) + GAP * (len(columns) - 1)
+    top = EDGE + 52
+    page = Image.new("RGB", (width, top + rows * (_TILE + GAP) + EDGE), PAPER)
+    pen = ImageDraw.Draw(page)
+    pen.text((EDGE, EDGE - 8), title, INK, ImageFont.load_default(20))
+    x = EDGE
+    for name, pictures in columns.items():
+        pen.text((x + 1, top - 20), name, FAINT, ImageFont.load_default(13))
+        size = (_TILE, widths[name])
+        large = functional.interpolate(pictures.cpu(), size, mode="bilinear").clamp(0, 1)
+        for k, picture in enumerate(large):
+            pixels = (picture * 255).round().byte().movedim(0, -1).numpy()
+            page.paste(Image.fromarray(np.ascontiguousarray(pixels)), (x, top + k * (_TILE + GAP)))
+        x += widths[name] + GAP
+    with replacing(target) as temporary:
+        page.save(temporary, "PNG")
+    return target

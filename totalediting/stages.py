@@ -1,0 +1,176 @@
+"""What is trained, stage by stage: the tracker and the lightmap estimator here, then the model.
+
+Each is a `training.Stage`: batches by step, a loss, a validation on people that are held out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import cached_property
+from pathlib import Path
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from totalediting import illumination, losses, metrics, phong
+from totalediting.illumination import LightmapEstimator
+from totalediting.joint import JointStage
+from totalediting.lightmaps import encode
+from totalediting.motion import HeadTracker, tracking_errors, tracking_loss
+from totalediting.numbered import Numbered, loader, to_device
+from totalediting.portraits import Portrait, Portraits
+from totalediting.presets import Preset
+from totalediting.reconstruction import ReconstructStage
+from totalediting.training import Schedule, Stage
+
+_VALIDATED = 64  # portraits, or pairs, at most
+_AT_ONCE = 8
+_TEXELS = 192  # queries of lightmaps in a step; all of them would cost ten times as much
+
+SCHEDULES = {
+    "tracker": Schedule(steps=4000, batch=24, learning_rate=4e-4),
+    "lightmaps": Schedule(steps=4000, batch=24, learning_rate=4e-4),
+    "reconstruct": Schedule(steps=2000, batch=4, learning_rate=5e-4),
+    "joint": Schedule(steps=1000, batch=4, learning_rate=1e-4),
+}
+"""Of the preset `tiny`, on two cores."""
+
+
+class _Shown:
+    """What stages of single portraits share: the same people in and out of training."""
+
+    train: Numbered
+    held_out: Numbered
+
+    def __init__(self, data: Path, preset: Preset, seed: int, workers: int) -> None:
+        self.preset, self.workers = preset, workers
+        self.train = Portraits(data, preset, "train", seed, mirror=True)
+        self.held_out = Portraits(data, preset, "validation")
+
+    @property
+    def skipped(self) -> dict[str, str]:
+        """Training portraits that could not be read, and why."""
+        return self.train.skipped
+
+    def batches(self, first: int, size: int, rank: int, ranks: int) -> Iterator[Portrait]:
+        start = first * size * ranks
+        return iter(loader(self.train, size, self.workers, start, rank=rank, world=ranks))
+
+    def validated(self, device: torch.device) -> Iterator[Portrait]:
+        """Batches of the held-out portraits, the same every time."""
+        for batch in loader(self.held_out, _AT_ONCE, stop=min(_VALIDATED, len(self.held_out))):
+            yield to_device(batch, device)
+
+
+class LightmapStage(_Shown):
+    """L_pre = L_S + L_N: the estimator by itself, on true light and normals (supplement, A)."""
+
+    name = "lightmaps"
+
+    def __init__(self, data: Path, preset: Preset, seed: int, workers: int = 1) -> None:
+        super().__init__(data, preset, seed, workers)
+        self.network = LightmapEstimator(preset)
+        self.weights = illumination.texel_weights(preset.lightmap_height)
+
+    def loss(
+        self, network: nn.Module, batch: Portrait, step: int
+    ) -> tuple[Tensor, dict[str, float]]:
+        texels = torch.randint(self.network.queries, (_TEXELS,)).to(batch.image.device)
+        code, normal = network(batch.image, texels)
+        truth = encode(illumination.fold(batch.lightmaps)[:, texels])
+        light = losses.lightmap_loss(code, truth, self.weights.to(texels.device)[texels])
+        smaller = [functional.avg_pool2d(x, 2) for x in (batch.normal, batch.alpha)]
+        shape = losses.normal_loss(normal, *smaller)
+        return light + shape, {"lightmap": light.item(), "normal": shape.item()}
+
+    @cached_property
+    def known(self) -> Tensor:
+        """What one would say without looking: the mean lightmaps of the training set."""
+        count = min(512, len(self.train))
+        maps = [batch.lightmaps for batch in loader(self.train, 32, stop=count)]
+        return metrics.mean_lightmaps(torch.cat(maps))
+
+    def validate(self, network: nn.Module) -> tuple[float, dict[str, float], dict[str, Tensor]]:
+        device = next(network.parameters()).device
+        errors: dict[str, list[Tensor]] = {"light": [], "mean": [], "angle": [], "normal": []}
+        picture = None
+        for batch in self.validated(device):
+            code, normal = network(batch.image)
+            maps = illumination.unfold(code.clamp_min(0).expm1(), self.preset.lightmap_height)
+            known = self.known.to(device).expand_as(maps)
+            errors["light"].append(metrics.lightmap_error(maps, batch.lightmaps))
+            errors["mean"].append(metrics.lightmap_error(known, batch.lightmaps))
+            errors["angle"].append(metrics.light_error(maps, batch.lightmaps, "specular32"))
+            smaller = [functional.avg_pool2d(x, 2) for x in (batch.normal, batch.alpha)]
+            errors["normal"].append(metrics.normal_error(normal, *smaller))
+            picture = picture if picture is not None else _light_picture(batch, maps, normal)
+        found = {name: torch.cat(values) for name, values in errors.items()}
+        figures = {
+            "light / mean light": (found["light"].mean() / found["mean"].mean()).item(),
+            "dominant light, median °": float(found["angle"].median()),
+            "normal, mean °": float(found["normal"].nanmean()),
+        }
+        assert picture is not None  # a split is never empty
+        return figures["light / mean light"], figures, {"light": picture}
+
+
+class TrackerStage(_Shown):
+    """The head tracker, on true motion, identity and camera."""
+
+    name = "tracker"
+
+    def __init__(self, data: Path, preset: Preset, seed: int, workers: int = 1) -> None:
+        super().__init__(data, preset, seed, workers)
+        self.network = HeadTracker(preset)
+
+    def loss(
+        self, network: nn.Module, batch: Portrait, step: int
+    ) -> tuple[Tensor, dict[str, float]]:
+        found = network(batch.image)
+        errors = {name: e.item() for name, e in tracking_errors(found, batch.truth).items()}
+        return tracking_loss(found, batch.truth), errors
+
+    def validate(self, network: nn.Module) -> tuple[float, dict[str, float], dict[str, Tensor]]:
+        found, truth = [], []
+        for batch in self.validated(next(network.parameters()).device):
+            found.append(network(batch.image))
+            truth.append(batch.truth)
+        whole = [
+            type(parts[0])(*map(torch.cat, zip(*parts, strict=True))) for parts in (found, truth)
+        ]
+        errors = {name: float(e) for name, e in tracking_errors(*whole).items()}
+        return float(tracking_loss(*whole)), errors, {}
+
+
+STAGES = tuple(SCHEDULES)
+"""Names, in the order that they are trained in."""
+
+
+def make(name: str, data: Path, preset: Preset, seed: int, workers: int, steps: int) -> Stage:
+    """The stage of that name; what a loss's schedule says is stretched or shrunk to `steps`.
+
+    Raises:
+        InputError: no dataset there, one of another format, or an empty split.
+    """
+    if name == "tracker":
+        return TrackerStage(data, preset, seed, workers)
+    if name == "lightmaps":
+        return LightmapStage(data, preset, seed, workers)
+    kind = ReconstructStage if name == "reconstruct" else JointStage
+    return kind(data, preset, seed, workers, weights=losses.OURS.over(steps))
+
+
+def _light_picture(batch: Portrait, maps: Tensor, normal: Tensor) -> Tensor:
+    """(3, H, W): portraits, then true and estimated n = 32 maps, then true and found normals."""
+    rows = []
+    for k in range(min(4, len(batch.image))):
+        side = batch.image.shape[-1]
+        cells = [batch.image[k]]
+        for light in (batch.lightmaps[k, 3], maps[k, 3]):
+            shown = phong.display(0.5 * light)
+            cells.append(functional.interpolate(shown[None], (side, 2 * side))[0])
+        for n in (batch.normal[k], functional.interpolate(normal[k][None], (side, side))[0]):
+            cells.append((0.5 * n + 0.5) * batch.alpha[k])
+        rows.append(torch.cat(cells, -1))
+    return torch.cat(rows, -2).cpu()
