@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
@@ -13,6 +14,9 @@ import fake_renderer
 import pytest
 
 from synthgen.farm.local import render_job
+
+# Tensors of tests are small: threads cost more than they save. Before torch is imported.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 
 @dataclass

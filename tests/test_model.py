@@ -14,11 +14,11 @@ from assets_procedural.head import HeadModel
 from assets_procedural.motion import Pose
 from assets_procedural.person import Person
 from totalediting.field import Control
-from totalediting.model import Edit, TotalEditing
+from totalediting.model import Edit, TotalEditing, Window
 from totalediting.presets import PRESETS, Preset
 
 SMALLEST = dataclasses.replace(
-    PRESETS["tiny"], image=64, neural=32, tokens=8, plane_size=32, coarse_samples=6,
+    PRESETS["tiny"], image=64, neural=32, window=16, tokens=8, plane_size=32, coarse_samples=6,
     fine_samples=6, field=8, lightmap_height=8,
 )  # fmt: skip
 
@@ -186,6 +186,21 @@ def test_no_control_points_are_a_head_at_rest(sources) -> None:
     none = model(**{**sources, "control": None})
     assert change(rest, none, "depth") < 1e-3
     assert change(rest, none, "normal") < 1e-3
+
+
+def test_a_window_is_that_part_of_the_picture(sources) -> None:
+    model = made()
+    window = Window(row=5, column=12, side=16)
+    whole, part = model(**sources), model(**sources, window=window)
+    assert part.image.shape == (2, 3, 32, 32)
+    for name in ("colour", "albedo", "normal", "opacity", "depth"):
+        wanted = window.of(getattr(whole.rendering, name))
+        torch.testing.assert_close(getattr(part.rendering, name), wanted, atol=1e-4, rtol=1e-4)
+    torch.testing.assert_close(part.raw, window.of(whole.raw), atol=1e-4, rtol=1e-4)
+    inner = (slice(None), slice(None), slice(8, 24), slice(8, 24))
+    torch.testing.assert_close(
+        part.image[inner], window.of(whole.image, 2)[inner], atol=1e-4, rtol=1e-4
+    )
 
 
 def test_sources_in_another_frame_are_the_same_light(sources) -> None:

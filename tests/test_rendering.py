@@ -456,8 +456,10 @@ def test_super_resolution_refuses_other_sizes() -> None:
     with pytest.raises(ValueError, match="doubled"):
         SuperResolution(replace(SMALL, image=96))
     network = SuperResolution(SMALL)
-    with pytest.raises(ValueError, match="raw"):
+    with pytest.raises(ValueError, match="features"):
         network(torch.rand(1, 3, 16, 16), torch.rand(1, SMALL.features, 32, 32))
+    with pytest.raises(ValueError, match="raw"):
+        network(torch.rand(1, 4, 32, 32), torch.rand(1, SMALL.features, 32, 32))
     with pytest.raises(ValueError, match="features"):
         network(torch.rand(1, 3, 32, 32), torch.rand(1, 5, 32, 32))
 

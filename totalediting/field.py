@@ -175,14 +175,14 @@ def batched(points: Tensor, control: Control, field: Callable[[Tensor, Control],
 def cells(points: Tensor) -> Iterator[tuple[Tensor, Tensor, float]]:
     """Points (P, 3) by cells of a grid: indices, the middle (3,) of a cell's points, their reach.
 
-    A cell is 5 cm wide, or up to twice that where points are so sparse that few would share it.
+    A cell is 5 cm wide, or wider where points are so sparse that few would share it.
     """
     if not len(points):
         return
     offset = points - points.amin(0)
     extent = offset.amax(0)
     spacing = float(extent.prod() / len(points)) ** (1 / 3)
-    edge = max(min(max(_CELL, 4 * spacing), 2 * _CELL), float(extent.max()) / 1000)
+    edge = max(_CELL, 4 * spacing, float(extent.max()) / 1000)
     x, y, z = (offset / edge).long().unbind(-1)
     cell, order = torch.sort(x + 1024 * (y + 1024 * z), stable=True)
     counts = torch.unique_consecutive(cell, return_counts=True)[1]

@@ -52,6 +52,19 @@ class Edit(NamedTuple):
     planes: Planes
 
 
+class Window(NamedTuple):
+    """A square of the h x h picture, in its pixels from the upper left."""
+
+    row: int
+    column: int
+    side: int
+
+    def of(self, picture: Tensor, scale: int = 1) -> Tensor:
+        """That part of a picture (B, C, scale h, scale h)."""
+        row, column, side = (scale * n for n in self)
+        return picture[..., row : row + side, column : column + side]
+
+
 class TotalEditing(nn.Module):
     """The model; its `forward` is the paper's figure 2."""
 
@@ -88,6 +101,7 @@ class TotalEditing(nn.Module):
         to_light: Tensor | None = None,
         background: Tensor | None = None,
         generator: torch.Generator | None = None,
+        window: Window | None = None,
     ) -> Edit:
         """Show the person of `app_image` with another expression, pose, view and light.
 
@@ -103,6 +117,7 @@ class TotalEditing(nn.Module):
                 their own.
             background: (B, 3 + features, h, h) behind the subject; None for that of I_app.
             generator: scatters the samples of training.
+            window: the part of the picture that is wanted; None for all of it.
 
         Raises:
             ValueError: a shape does not fit.
@@ -110,7 +125,15 @@ class TotalEditing(nn.Module):
         planes = self.encode(app_image, e_app, e_mot)
         behind = self.background(app_image) if background is None else background
         return self.show(
-            planes, control, camera_to_world, intrinsics, lightmaps, to_light, behind, generator
+            planes,
+            control,
+            camera_to_world,
+            intrinsics,
+            lightmaps,
+            to_light,
+            behind,
+            generator,
+            window,
         )
 
     def encode(self, app_image: Tensor, e_app: Tensor, e_mot: Tensor) -> Planes:
@@ -129,9 +152,17 @@ class TotalEditing(nn.Module):
         to_light: Tensor | None,
         background: Tensor,
         generator: torch.Generator | None = None,
+        window: Window | None = None,
     ) -> Edit:
         """Tri-planes in a pose, view and light; arguments as of `forward`."""
         preset, side = self.preset, self.preset.neural
+        intrinsics = resize_intrinsics(intrinsics, (preset.image, preset.image), (side, side))
+        if window is not None:
+            side = window.side
+            intrinsics = intrinsics - intrinsics.new_tensor(
+                [[0, 0, window.column], [0, 0, window.row], [0, 0, 0]]
+            )
+            background = window.of(background)
         if to_light is None:
             to_light = torch.eye(3).to(lightmaps).expand(len(lightmaps), 3, 3)
         rendering = render(
@@ -139,12 +170,13 @@ class TotalEditing(nn.Module):
             planes.shading,
             self.decoders,
             camera_to_world,
-            resize_intrinsics(intrinsics, (preset.image, preset.image), (side, side)),
+            intrinsics,
             lightmaps,
             to_light,
             None if control is None else self.deformation(control),
             preset,
             generator,
+            side=side,
         )
         light = rendering.colour
         foreground = phong.display(light) if preset.colour == "linear" else light

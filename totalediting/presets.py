@@ -15,6 +15,8 @@ class Preset:
     """Side S of pictures that go in and come out."""
     neural: int
     """Side of the picture that is volume-rendered, before super-resolution."""
+    window: int
+    """Side of the window of it that a step of the stage `reconstruct` renders."""
 
     global_channels: int
     """Channels of the appearance encoder's global branch, on a grid of side S / 8."""
@@ -80,6 +82,7 @@ PRESETS = {
             name="tiny",
             image=128,
             neural=64,
+            window=32,
             global_channels=64,
             detail_channels=32,
             tokens=16,
@@ -100,11 +103,13 @@ PRESETS = {
             light_directions=128,
             lobe_dim=128,
             lobe_blocks=2,
+            field=16,
         ),
         Preset(
             name="small",
             image=256,
             neural=64,
+            window=64,
             global_channels=256,
             detail_channels=64,
             tokens=32,
@@ -130,6 +135,7 @@ PRESETS = {
             name="full",
             image=512,
             neural=128,
+            window=64,
             global_channels=256,
             detail_channels=96,
             tokens=32,

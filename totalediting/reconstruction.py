@@ -15,7 +15,7 @@ from torch.nn import functional
 
 from totalediting import losses, metrics
 from totalediting.data import PortraitPairs, Sample
-from totalediting.model import Edit, TotalEditing
+from totalediting.model import Edit, TotalEditing, Window
 from totalediting.numbered import loader, to_device
 from totalediting.presets import Preset
 from totalediting.rendering import density_jitter, density_normals
@@ -64,8 +64,15 @@ class ReconstructStage(Pairs):
 
     def loss(self, network: nn.Module, batch: Sample, step: int) -> tuple[Tensor, dict[str, float]]:
         generator = generator_on(batch.app_image.device)
-        edit = edit_of(network, batch, generator)
-        found = terms(self.network, edit, batch, self.weights.at(step), generator)
+        window = window_in(self.network.preset)
+        edit = edit_of(network, batch, generator, window=window)
+        found = terms(
+            self.network,
+            edit,
+            seen(batch, window, self.network.preset),
+            self.weights.at(step),
+            generator,
+        )
         total = losses.total(found, self.weights, step)
         return total.loss, total.scalars
 
@@ -78,12 +85,27 @@ def generator_on(device: torch.device) -> torch.Generator:
     return torch.Generator(device).manual_seed(int(torch.randint(2**31, ())))
 
 
+def window_in(preset: Preset) -> Window:
+    """A random window of the preset's size; draws from the global generator."""
+    room = preset.neural - preset.window + 1
+    row, column = torch.randint(room, (2,)).tolist()
+    return Window(row, column, preset.window)
+
+
+def seen(batch: Sample, window: Window, preset: Preset) -> Sample:
+    """A batch whose truth is cropped to a window."""
+    scale = preset.image // preset.neural
+    names = ("mot_image", "albedo", "normal", "alpha")
+    return batch._replace(**{name: window.of(getattr(batch, name), scale) for name in names})
+
+
 def edit_of(
     network: nn.Module,
     batch: Sample,
     generator: torch.Generator | None,
     lightmaps: Tensor | None = None,
     to_light: Tensor | None = None,
+    window: Window | None = None,
 ) -> Edit:
     """The edit that should be the batch's target; in its true light, or in another."""
     return network(
@@ -96,6 +118,7 @@ def edit_of(
         batch.lightmaps if lightmaps is None else lightmaps,
         to_light,
         generator=generator,
+        window=window,
     )
 
 
@@ -108,7 +131,7 @@ def terms(
 ) -> dict[str, Tensor | None]:
     """L_1, L_seg, L_a, L_n and the regularisers; those whose factor is 0 are not computed."""
     rendering, matte, target = edit.rendering, batch.alpha, batch.mot_image
-    side = (model.preset.neural, model.preset.neural)
+    side = edit.raw.shape[-2:]
 
     def small(picture: Tensor) -> Tensor:
         return functional.interpolate(picture, side, mode="area")

@@ -85,6 +85,7 @@ def render(
     preset: Preset,
     generator: torch.Generator | None = None,
     chunk: int | None = None,
+    side: int | None = None,
 ) -> Rendering:
     """Volume-render h x h pixels (paper, sections 3.1 "image formation" and 3.3).
 
@@ -110,7 +111,7 @@ def render(
     if chunk is not None and chunk < 1:
         raise ValueError(f"chunk must be a positive number of rays, got {chunk}")
     _check(geometry_planes, shading_planes, camera_to_world, preset)
-    side = preset.neural
+    side = preset.neural if side is None else side
     with torch.autocast(geometry_planes.device.type, enabled=False):
         subject = _Subject(
             geometry_planes=_full(geometry_planes),

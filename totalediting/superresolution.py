@@ -28,9 +28,10 @@ SLOPE = 0.2
 class SuperResolution(nn.Module):
     """Raw picture (B, 3, h, h) and features (B, F, h, h) to a picture (B, 3, S, S).
 
-    A fresh network gives the raw picture, bilinearly upsampled, exactly. In training the result is
-    not bounded, so that what overshoots still has a gradient; in evaluation it is clamped to
-    [0, 1].
+    All is local: a window of a picture, h smaller than the preset's, gives that window of the
+    result but for its rim. A fresh network gives the raw picture, bilinearly upsampled, exactly. In
+    training the result is not bounded, so that what overshoots still has a gradient; in evaluation
+    it is clamped to [0, 1].
     """
 
     def __init__(self, preset: Preset) -> None:
@@ -41,16 +42,16 @@ class SuperResolution(nn.Module):
                 f"two blocks cannot take {preset.neural} pixels to {preset.image}, at most fourfold"
             )
         width = preset.upsample_channels
-        self.shape = (preset.features, preset.neural)
+        self.features = preset.features
         # The last `ups` blocks double the size.
         self.first = _Upsample(3 + preset.features, width, twice=ups > 1)
         self.second = _Upsample(width, width // 2, twice=ups > 0)
 
     def forward(self, raw: Tensor, features: Tensor) -> Tensor:
         """Raises ValueError where a shape does not fit."""
-        channels, side = self.shape
-        _check("raw", raw, (len(raw), 3, side, side))
-        _check("features", features, (len(raw), channels, side, side))
+        size = raw.shape[2:]
+        _check("raw", raw, (len(raw), 3, *size))
+        _check("features", features, (len(raw), self.features, *size))
         x, picture = self.first(torch.cat([raw, features], 1), raw)
         _, picture = self.second(x, picture)
         return picture if self.training else picture.clamp(0.0, 1.0)
