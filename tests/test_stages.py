@@ -195,5 +195,10 @@ def test_a_trained_run_is_shown(totalediting: Run, small_dataset: Path, tmp_path
     page = showcase.draw(tmp_path / "run", small_dataset, tmp_path / "page.png", 2, "validation")
     with Image.open(page) as picture:
         assert picture.width > 11 * 128 and picture.height > 2 * 128
+    figures = totalediting("evaluate", tmp_path / "run", small_dataset, "--split", "validation")
+    assert "lightmaps: light / mean light: " in figures.stdout
+    assert "reconstruct: PSNR of the source: " in figures.stdout
+    empty = totalediting("evaluate", tmp_path, small_dataset).error
+    assert "nothing was trained there" in empty
     missing = totalediting("show", tmp_path / "nothing", small_dataset).error
     assert "nothing was trained there" in missing

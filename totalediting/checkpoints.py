@@ -128,7 +128,7 @@ def configure(run: Path, config: dict[str, Any]) -> None:
     """
     path = run / "config.json"
     if path.exists():
-        before = json.loads(path.read_text())
+        before = read_config(run)
         for key in sorted({*before, *config}):
             if before.get(key) != config.get(key):
                 raise InputError(
@@ -138,6 +138,18 @@ def configure(run: Path, config: dict[str, Any]) -> None:
         return
     run.mkdir(parents=True, exist_ok=True)
     _write_json(path, config)
+
+
+def read_config(run: Path) -> dict[str, Any]:
+    """What `configure` wrote.
+
+    Raises:
+        InputError: nothing was trained there.
+    """
+    path = run / "config.json"
+    if not path.exists():
+        raise InputError(f"{run}: nothing was trained there; train it first")
+    return json.loads(path.read_text())
 
 
 def optimiser_tensors(optimiser: torch.optim.Optimizer) -> dict[str, Tensor]:

@@ -165,6 +165,20 @@ def train(
 
 
 @app.command()
+def evaluate(
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="A folder that `train` filled.")],
+    data: Annotated[Path, typer.Argument(metavar="DATA", help="A dataset with held-out people.")],
+    split: Annotated[str, typer.Option(help="train, validation or test.")] = "test",
+) -> None:
+    """Measure every stage of a trained run on a split of a dataset."""
+    from totalediting.stages import evaluate as measure
+
+    for stage, figures in measure(run, data, split).items():
+        for name, value in figures.items():
+            typer.echo(f"{stage}: {name}: {value:.4g}")
+
+
+@app.command()
 def show(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="A folder that `train` filled.")],
     data: Annotated[Path, typer.Argument(metavar="DATA", help="A dataset with held-out people.")],

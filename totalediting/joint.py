@@ -137,7 +137,7 @@ class JointStage(Pairs):
         return total.loss + critic, scalars
 
     def validate(self, network: nn.Module) -> tuple[float, dict[str, float], dict[str, Tensor]]:
-        return validate(self.network.model, self.held_out)
+        return validate(self.network.model, self.held_out, self.most)
 
     def _adversarial(self, edit: Edit, batch: Sample, step: int) -> tuple[Tensor, Tensor]:
         """The generator's term, and the discriminator's own with its penalty."""

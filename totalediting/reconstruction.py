@@ -21,17 +21,27 @@ from totalediting.presets import Preset
 from totalediting.rendering import density_jitter, density_normals
 from totalediting.showcase import decomposition
 
-_VALIDATED, _AT_ONCE = 64, 8  # pairs, at most, and at once
+VALIDATED = 64
+"""Samples that a validation looks at, at most."""
+
+_AT_ONCE = 8  # pairs of a validation
 _TV_POINTS, _NORMAL_POINTS = 1000, 4096
 
 
 class Pairs:
     """Training pairs and held-out pairs of a dataset, by step."""
 
+    most = VALIDATED
+
     def __init__(self, data: Path, preset: Preset, seed: int, workers: int) -> None:
-        self.workers = workers
+        self.preset, self.workers = preset, workers
         self.train = PortraitPairs(data, preset, "train", seed)
         self.held_out = PortraitPairs(data, preset, "validation")
+
+    def judge_by(self, data: Path, split: str) -> None:
+        """Validate on all of another split."""
+        self.held_out = PortraitPairs(data, self.preset, split)
+        self.most = len(self.held_out)
 
     @property
     def skipped(self) -> dict[str, str]:
@@ -77,7 +87,7 @@ class ReconstructStage(Pairs):
         return total.loss, total.scalars
 
     def validate(self, network: nn.Module) -> tuple[float, dict[str, float], dict[str, Tensor]]:
-        return validate(network, self.held_out)
+        return validate(network, self.held_out, self.most)
 
 
 def generator_on(device: torch.device) -> torch.Generator:
@@ -166,13 +176,13 @@ def terms(
 
 
 def validate(
-    network: nn.Module, pairs: PortraitPairs
+    network: nn.Module, pairs: PortraitPairs, most: int
 ) -> tuple[float, dict[str, float], dict[str, Tensor]]:
     """Figures on held-out people, the first of them beside that of returning the source."""
     device = next(network.parameters()).device
     errors: dict[str, list[Tensor]] = {"psnr": [], "source": [], "normal": [], "albedo": []}
     picture = None
-    for samples in loader(pairs, _AT_ONCE, stop=min(_VALIDATED, len(pairs))):
+    for samples in loader(pairs, _AT_ONCE, stop=min(most, len(pairs))):
         batch = to_device(samples, device)
         edit = edit_of(network, batch, None)
         errors["psnr"].append(metrics.psnr(edit.image, batch.mot_image, batch.alpha))

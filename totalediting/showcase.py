@@ -18,7 +18,6 @@ from torch.nn import functional
 from assets_procedural.panorama import replacing
 from totalediting import checkpoints, metrics, phong
 from totalediting.data import PortraitPairs
-from totalediting.errors import InputError
 from totalediting.illumination import LightmapEstimator
 from totalediting.lightmap_pictures import EDGE, FAINT, GAP, INK, PAPER
 from totalediting.model import Edit, TotalEditing
@@ -31,12 +30,7 @@ _SPECULAR = 3  # of the lightmaps, the one that is shown: n = 32
 
 def preset_of(run: Path) -> Preset:
     """The preset that a stage's folder was trained with; `InputError` if it was not trained."""
-    import json
-
-    path = run / "config.json"
-    if not path.exists():
-        raise InputError(f"{run}: nothing was trained there; train it first")
-    return PRESETS[json.loads(path.read_text())["preset"]]
+    return PRESETS[checkpoints.read_config(run)["preset"]]
 
 
 def load_model(run: Path) -> TotalEditing:

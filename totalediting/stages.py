@@ -13,19 +13,19 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from totalediting import illumination, losses, metrics, phong
+from totalediting import checkpoints, illumination, losses, metrics, phong
+from totalediting.errors import InputError
 from totalediting.illumination import LightmapEstimator
 from totalediting.joint import JointStage
 from totalediting.lightmaps import encode
 from totalediting.motion import HeadTracker, tracking_errors, tracking_loss
-from totalediting.numbered import Numbered, loader, to_device
+from totalediting.numbered import loader, to_device
 from totalediting.portraits import Portrait, Portraits
-from totalediting.presets import Preset
-from totalediting.reconstruction import ReconstructStage
-from totalediting.training import Schedule, Stage
+from totalediting.presets import PRESETS, Preset
+from totalediting.reconstruction import VALIDATED, ReconstructStage
+from totalediting.training import Schedule
 
-_VALIDATED = 64  # portraits, or pairs, at most
-_AT_ONCE = 8
+_AT_ONCE = 8  # portraits of a validation
 _TEXELS = 192  # queries of lightmaps in a step; all of them would cost ten times as much
 
 SCHEDULES = {
@@ -40,13 +40,17 @@ SCHEDULES = {
 class _Shown:
     """What stages of single portraits share: the same people in and out of training."""
 
-    train: Numbered
-    held_out: Numbered
+    most = VALIDATED
 
     def __init__(self, data: Path, preset: Preset, seed: int, workers: int) -> None:
         self.preset, self.workers = preset, workers
         self.train = Portraits(data, preset, "train", seed, mirror=True)
         self.held_out = Portraits(data, preset, "validation")
+
+    def judge_by(self, data: Path, split: str) -> None:
+        """Validate on all of another split."""
+        self.held_out = Portraits(data, self.preset, split)
+        self.most = len(self.held_out)
 
     @property
     def skipped(self) -> dict[str, str]:
@@ -59,7 +63,7 @@ class _Shown:
 
     def validated(self, device: torch.device) -> Iterator[Portrait]:
         """Batches of the held-out portraits, the same every time."""
-        for batch in loader(self.held_out, _AT_ONCE, stop=min(_VALIDATED, len(self.held_out))):
+        for batch in loader(self.held_out, _AT_ONCE, stop=min(self.most, len(self.held_out))):
             yield to_device(batch, device)
 
 
@@ -147,7 +151,9 @@ STAGES = tuple(SCHEDULES)
 """Names, in the order that they are trained in."""
 
 
-def make(name: str, data: Path, preset: Preset, seed: int, workers: int, steps: int) -> Stage:
+def make(
+    name: str, data: Path, preset: Preset, seed: int, workers: int, steps: int
+) -> TrackerStage | LightmapStage | ReconstructStage | JointStage:
     """The stage of that name; what a loss's schedule says is stretched or shrunk to `steps`.
 
     Raises:
@@ -159,6 +165,29 @@ def make(name: str, data: Path, preset: Preset, seed: int, workers: int, steps: 
         return LightmapStage(data, preset, seed, workers)
     kind = ReconstructStage if name == "reconstruct" else JointStage
     return kind(data, preset, seed, workers, weights=losses.OURS.over(steps))
+
+
+def evaluate(run: Path, data: Path, split: str) -> dict[str, dict[str, float]]:
+    """Figures of every stage that was trained in `run`, on all of a split of any dataset.
+
+    Raises:
+        InputError: nothing was trained there, or there is no such dataset or split.
+    """
+    found = {}
+    for name in STAGES:
+        folder = run / name
+        if checkpoints.best_step(folder) is None:
+            continue
+        config = checkpoints.read_config(folder)
+        preset = PRESETS[config["preset"]]
+        stage = make(name, Path(config["data"]), preset, 0, 0, config["steps"])
+        stage.judge_by(data, split)
+        stage.network.load_state_dict(checkpoints.best(folder).average)
+        with torch.no_grad():
+            found[name] = stage.validate(stage.network.eval())[1]
+    if not found:
+        raise InputError(f"{run}: nothing was trained there; train it first")
+    return found
 
 
 def _light_picture(batch: Portrait, maps: Tensor, normal: Tensor) -> Tensor:
