@@ -89,7 +89,8 @@ def test_reconstruction_counts_only_the_subject(small_dataset: Path) -> None:
 
 def test_the_mean_light_scores_one_against_itself(small_dataset: Path) -> None:
     stage = LightmapStage(small_dataset, PRESETS["tiny"], seed=0, workers=0)
-    value, figures, pictures = stage.validate(stage.network.eval())
+    with torch.no_grad():
+        value, figures, pictures = stage.validate(stage.network.eval())
     assert value == figures["light / mean light"] > 0
     assert pictures["light"].shape[0] == 3
 
