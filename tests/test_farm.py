@@ -349,8 +349,12 @@ def test_killed_while_failures_are_forgiven(tmp_path: Path, monkeypatch: pytest.
     monkeypatch.setenv("TROUBLE", json.dumps({"s000001": "raise"}))
     assert render(out, job=ONE).complete
     monkeypatch.delenv("TROUBLE")
+
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt  # not a signal: a shell's background jobs ignore SIGINT
+
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(run, "unpack_shard", lambda *_: signal.raise_signal(signal.SIGINT))
+        patch.setattr(run, "unpack_shard", interrupted)
         render(out, job=ONE, retry_failed=True)
     assert [f["key"] for f in ledger.failures(out)] == ["s000001"]
     assert render(out, job=ONE, retry_failed=True).rendered == 1
