@@ -12,6 +12,7 @@ does not matter who found the damage first. Such an item is counted and named on
 from __future__ import annotations
 
 import logging
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from functools import lru_cache
 from typing import Any, Generic, TypeVar
@@ -37,7 +38,7 @@ class Unreadable(Exception):
         self.item, self.reason = item, reason
 
 
-class Numbered(Dataset[Item], Generic[Item]):
+class Numbered(Dataset[Item], ABC, Generic[Item]):
     """A map-style dataset of samples 0, 1, 2, … without end; `len` is the size of an epoch.
 
     A subclass says how one is made, in `make`.
@@ -49,9 +50,9 @@ class Numbered(Dataset[Item], Generic[Item]):
         self._broken = torch.zeros(len(keys), dtype=torch.bool).share_memory_()
         self._reasons = torch.zeros(_REASONS, _REASON_BYTES, dtype=torch.uint8).share_memory_()
 
+    @abstractmethod
     def make(self, item: int, rng: np.random.Generator) -> Item:
         """The sample of an item, with draws from `rng`; raises `Unreadable`."""
-        raise NotImplementedError
 
     def __len__(self) -> int:
         return len(self.keys)

@@ -13,13 +13,12 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from totalediting import losses, metrics
+from totalediting import losses, metrics, phong
 from totalediting.data import PortraitPairs, Sample
 from totalediting.model import Edit, TotalEditing, Window
 from totalediting.numbered import loader, to_device
 from totalediting.presets import Preset
 from totalediting.rendering import density_jitter, density_normals
-from totalediting.showcase import decomposition
 
 VALIDATED = 64
 """Samples that a validation looks at, at most."""
@@ -147,21 +146,21 @@ def terms(
         return functional.interpolate(picture, side, mode="area")
 
     small_matte, small_target = small(matte), small(matte * target)
-    phong = model.preset.decoder == "phong"
+    decomposed = model.preset.decoder == "phong"
     found: dict[str, Tensor | None] = {
         "final": losses.l1(matte * edit.image, matte * target),
         "raw": losses.l1(small_matte * edit.raw, small_target),
         "foreground": losses.l1(edit.foreground, small_target),
         "mask": losses.mask_loss(rendering.opacity, small_matte),
-        "residual": rendering.residual_l1.mean() if phong else None,
+        "residual": rendering.residual_l1.mean() if decomposed else None,
     }
-    if phong:  # the plain decoder knows neither
+    if decomposed:  # the plain decoder knows neither
         found["albedo"] = losses.albedo_loss(rendering.albedo, small(batch.albedo), small_matte)
         found["normal"] = losses.normal_loss(rendering.normal, small(batch.normal), small_matte)
     planes, geometry = edit.planes.geometry, model.decoders.geometry
     if factors["tv"]:
         found["tv"] = losses.tv_loss(*density_jitter(planes, geometry, _TV_POINTS, generator))
-    if factors["density_normal"] and phong:
+    if factors["density_normal"] and decomposed:
         batch_size, device = len(rendering.weights), rendering.weights.device
         count = rendering.weights[0].numel()
         chosen = torch.randint(count, (_NORMAL_POINTS,), generator=generator, device=device)
@@ -205,6 +204,21 @@ def validate(
     }
     assert picture is not None  # a split is never empty
     return -figures["PSNR"], figures, {"edit": picture}
+
+
+def decomposition(edit: Edit, camera_to_world: Tensor) -> dict[str, Tensor]:
+    """Pictures (B, 3, h, h) in [0, 1] of what an edit is made of."""
+    r = edit.rendering
+    distance = camera_to_world[:, :3, 3].norm(dim=-1)[:, None, None, None]
+    near = (0.5 - (r.depth - distance) / 0.5).clamp(0, 1) * r.opacity
+    return {
+        "albedo": phong.display(r.albedo),
+        "normal": 0.5 * r.normal + 0.5 * r.opacity,
+        "diffuse": phong.display(r.diffuse),
+        "specular": phong.display(r.specular),
+        "residual": (0.5 + r.residual).clamp(0, 1),
+        "depth": near.expand(-1, 3, -1, -1),
+    }
 
 
 def edit_picture(batch: Sample, edit: Edit) -> Tensor:

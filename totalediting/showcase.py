@@ -20,9 +20,10 @@ from totalediting import checkpoints, metrics, phong
 from totalediting.data import PortraitPairs
 from totalediting.illumination import LightmapEstimator
 from totalediting.lightmap_pictures import EDGE, FAINT, GAP, INK, PAPER
-from totalediting.model import Edit, TotalEditing
+from totalediting.model import TotalEditing
 from totalediting.numbered import collate
 from totalediting.presets import PRESETS, Preset
+from totalediting.reconstruction import decomposition, edit_of
 
 _TILE = 128
 _SPECULAR = 3  # of the lightmaps, the one that is shown: n = 32
@@ -62,10 +63,7 @@ def draw(run: Path, data: Path, target: Path, rows: int = 6, split: str = "test"
     pairs = PortraitPairs(data, model.preset, split, seed=1)
     count = min(rows, len(pairs))
     batch = collate([pairs[k] for k in range(count)])
-    edit = model(
-        batch.app_image, batch.app_code, batch.mot_code, batch.control,
-        batch.camera_to_world, batch.intrinsics, batch.lightmaps,
-    )  # fmt: skip
+    edit = edit_of(model, batch, None)
     columns: dict[str, Tensor] = {
         "source": batch.app_image,
         "driver": batch.mot_image,
@@ -80,21 +78,6 @@ def draw(run: Path, data: Path, target: Path, rows: int = 6, split: str = "test"
     alone = metrics.psnr(batch.app_image, batch.mot_image, batch.alpha)
     title = f"PSNR {float(score.mean()):.1f} dB; of the source itself {float(alone.mean()):.1f} dB"
     return _page(columns, title, target)
-
-
-def decomposition(edit: Edit, camera_to_world: Tensor) -> dict[str, Tensor]:
-    """Pictures (B, 3, h, h) in [0, 1] of what an edit is made of."""
-    r = edit.rendering
-    distance = camera_to_world[:, :3, 3].norm(dim=-1)[:, None, None, None]
-    near = (0.5 - (r.depth - distance) / 0.5).clamp(0, 1) * r.opacity
-    return {
-        "albedo": phong.display(r.albedo),
-        "normal": 0.5 * r.normal + 0.5 * r.opacity,
-        "diffuse": phong.display(r.diffuse),
-        "specular": phong.display(r.specular),
-        "residual": (0.5 + r.residual).clamp(0, 1),
-        "depth": near.expand(-1, 3, -1, -1),
-    }
 
 
 def _light(maps: Tensor) -> Tensor:
