@@ -40,11 +40,6 @@ def main() -> None:
         sys.exit(2)
 
 
-@app.callback()
-def commands() -> None:
-    """With a callback, typer keeps `bake` a subcommand even where it is the only one."""
-
-
 @app.command()
 def bake(
     environment: Annotated[
