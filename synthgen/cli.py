@@ -285,6 +285,38 @@ def export(
     typer.echo(nerfstudio(out, destination))
 
 
+@app.command()
+def browse(
+    out: Dataset,
+    host: Annotated[
+        str, typer.Option(help="Where to listen; elsewhere than on loopback a token is asked for.")
+    ] = "127.0.0.1",
+    port: Annotated[int, typer.Option(min=0, max=65535, help="0 takes a free one.")] = 8350,
+    cache: Annotated[
+        int, typer.Option(min=0, metavar="MB", help="Megabytes that thumbnails may take.")
+    ] = 256,
+    open_: Annotated[
+        bool, typer.Option("--open/--no-open", help="Open the page in the browser.")
+    ] = False,
+) -> None:
+    """Open a dataset as a web page: search it, look at every pass, move the light."""
+    from synthgen.errors import JobError
+
+    try:
+        from synthgen.browse.serve import serve
+    except ModuleNotFoundError as error:
+        remedy = f"needs {error.name}; pip install 'synthgen[browse]'"
+        raise JobError("synthgen browse", "", "", remedy) from None
+
+    def ready(address: str) -> None:
+        if open_:
+            import webbrowser
+
+            webbrowser.open(address)
+
+    serve(out, host, port, cache, typer.echo, ready)
+
+
 def _beside(out: Path, ending: str) -> Path:
     folder = out if out.name not in ("", "..") else out.resolve()
     return folder.with_name(folder.name + ending)

@@ -1,0 +1,45 @@
+"""What `/api/dataset` says about a dataset."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from assets_procedural.motion import ARKIT_NAMES
+from synthgen.browse.fields import GRID
+from synthgen.browse.snapshot import Snapshot
+from synthgen.passes import PALETTE
+
+PARTS = (
+    *("background", "skin", "nose", "right eye", "left eye", "right brow", "left brow"),
+    *("right ear", "left ear", "mouth interior", "top lip", "bottom lip", "neck and shoulders"),
+    *("hair", "beard", "clothing", "glasses", "headwear", "facewear"),
+)
+"""Names of the part ids from 0 on; 255 is ignored."""
+
+
+def describe(snapshot: Snapshot) -> dict[str, Any]:
+    """The dataset, its columns and counts; all of it from dataset.json and the manifest."""
+    info = snapshot.info
+    environments = info.get("environments")
+    panoramas = [e for e in environments or [] if isinstance(e, dict) and "id" in e]
+    names = dict(enumerate(PARTS)) | {255: "ignore"}
+    return {
+        "name": str(info.get("name", "")),
+        "format": info.get("format"),
+        "complete": bool(info.get("complete")),
+        "revision": snapshot.revision,
+        "ready": snapshot.in_memory,
+        "shots": snapshot.shots,
+        "frames": snapshot.frames,
+        "failures": snapshot.failures,
+        "plan": info["plan"],
+        "columns": [c.to_json() for c in snapshot.columns.values()],
+        "grid": [n for n in GRID if n in snapshot.columns],
+        "environments": [
+            {k: str(e.get(k, "")) for k in ("id", "kind", "source", "author", "licence")}
+            for e in panoramas
+        ],
+        "part_names": names,
+        "part_colours": {i: [int(v) for v in PALETTE[i]] for i in names},
+        "expression_names": list(ARKIT_NAMES),
+    }

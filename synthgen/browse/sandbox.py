@@ -1,0 +1,156 @@
+"""A DuckDB that can do nothing but answer: no files, no extensions, no settings, limited time.
+
+What a user types is never run as it stands. It is parsed first and must be one expression over the
+manifest's columns; then it runs in a database of its own that the rest of the machine is shut to.
+"""
+
+from __future__ import annotations
+
+import json
+import threading
+from pathlib import Path
+from typing import Any
+
+import duckdb
+import numpy as np
+
+from synthgen.browse.folder import Refused
+
+SECONDS = 5.0
+"""What a query may take."""
+ROWS = 500
+"""What a query that a user shapes may return."""
+_LONGEST = 4000  # characters of a condition
+_SCRATCH = 1 << 30  # bytes that queries may take beside the table
+
+
+def quoted(name: str) -> str:
+    """A column's name as an SQL identifier."""
+    return '"' + name.replace('"', '""') + '"'
+
+
+def literal(text: str | Path) -> str:
+    """A text as an SQL literal."""
+    return "'" + str(text).replace("'", "''") + "'"
+
+
+class Sandbox:
+    """A database in memory. Fill it through `connection`, then `lock` it, then only `ask`.
+
+    `ask` may be called from several threads.
+    """
+
+    def __init__(self, threads: int) -> None:
+        self.connection = duckdb.connect(
+            ":memory:",
+            config={
+                "threads": threads,
+                "autoinstall_known_extensions": False,
+                "autoload_known_extensions": False,
+                "allow_community_extensions": False,
+                # Else names in FROM may be variables of this program.
+                "python_enable_replacements": False,
+            },
+        )
+
+    def lock(self, readable: list[Path]) -> None:
+        """Shut the database to all files but `readable`, and to any change of its settings."""
+        run = self.connection.execute
+        used = run("SELECT sum(memory_usage_bytes) FROM duckdb_memory()").fetchone()
+        run(f"SET memory_limit = '{int(used[0] if used else 0) + _SCRATCH} B'")
+        run("SET temp_directory = ''")
+        if readable:
+            run(f"SET allowed_paths = [{', '.join(map(literal, readable))}]")
+        run("SET enable_external_access = false")
+        run("SET lock_configuration = true")
+
+    def ask(self, sql: str, values: list[Any] | None = None) -> list[tuple[Any, ...]]:
+        """The rows of one SELECT. Raises `Refused` (400) for a wrong one or one that takes long."""
+        return self._run(sql, values, lambda answer: answer.fetchall())
+
+    def arrays(self, sql: str, values: list[Any] | None = None) -> dict[str, np.ndarray]:
+        """The answer as a (masked) array per column; raises as `ask`."""
+        return self._run(sql, values, lambda answer: answer.fetchnumpy())
+
+    def _run(self, sql: str, values: list[Any] | None, fetch: Any) -> Any:
+        late = threading.Event()
+        with self.connection.cursor() as cursor:
+
+            def stop() -> None:
+                late.set()
+                cursor.interrupt()
+
+            timer = threading.Timer(SECONDS, stop)
+            timer.daemon = True
+            timer.start()
+            try:
+                return fetch(cursor.execute(sql, values or []))
+            except (duckdb.Error, RuntimeError) as error:
+                if late.is_set():
+                    raise Refused(
+                        f"where: took more than {SECONDS:g} seconds and was stopped; ask for less",
+                        400,
+                    ) from None
+                raise Refused(f"where: {_one_line(error)}", 400) from None
+            finally:
+                timer.cancel()
+
+    def check(self, condition: str) -> None:
+        """Raise `Refused` (400) unless `condition` is one SQL expression over the manifest.
+
+        It may hold subqueries, of the manifest alone, and no functions that make tables.
+        """
+        if len(condition) > _LONGEST:
+            raise Refused(f"where: is longer than {_LONGEST} characters; shorten it", 400)
+        if "\0" in condition:
+            raise Refused("where: holds a zero byte; remove it", 400)
+        # Without brackets, else `a) OR (b` would be one expression and two in our sentence.
+        self._parsed(f"SELECT 1 FROM manifest WHERE {condition}\n")
+        found = self._parsed(f"SELECT 1 FROM manifest WHERE ({condition}\n)")
+        plain = self._parsed("SELECT 1 FROM manifest WHERE (true\n)")
+        expression = found["statements"][0]["node"].pop("where_clause", None)
+        plain["statements"][0]["node"].pop("where_clause")
+        if found != plain or expression is None:
+            raise Refused(
+                "where: must be one condition, such as person_age_years > 60; no statement, "
+                "ORDER BY, GROUP BY, LIMIT or UNION",
+                400,
+            )
+        _walk(expression)
+
+    def _parsed(self, sql: str) -> dict[str, Any]:
+        tree = json.loads(self.ask("SELECT json_serialize_sql(?::VARCHAR)", [sql])[0][0])
+        if tree.get("error"):
+            raise Refused(f"where: {_one_line(tree.get('error_message', 'not SQL'))}", 400)
+        if len(tree["statements"]) != 1:
+            raise Refused("where: must be one condition, not several statements", 400)
+        return tree
+
+
+_FORBIDDEN = ("getenv", "current_setting", "getvariable", "nextval", "currval", "write_log")
+
+
+def _walk(node: Any) -> None:
+    if isinstance(node, list):
+        for item in node:
+            _walk(item)
+    if not isinstance(node, dict):
+        return
+    kind, function = node.get("type"), str(node.get("function_name", "")).lower()
+    if kind == "TABLE_FUNCTION":
+        name = node.get("function", {}).get("function_name", "?")
+        raise Refused(f"where: the function {name} makes a table; only the manifest is here", 400)
+    if kind == "BASE_TABLE" and (
+        node.get("table_name") != "manifest" or node.get("schema_name") or node.get("catalog_name")
+    ):
+        raise Refused(f"where: no table {node.get('table_name')}; only manifest is here", 400)
+    if function in _FORBIDDEN:
+        raise Refused(f"where: the function {function} is not available here", 400)
+    for value in node.values():
+        _walk(value)
+
+
+def _one_line(error: Any) -> str:
+    # Later lines draw the query that was made of the condition.
+    lines = str(error).strip().splitlines() or [type(error).__name__]
+    return " ".join(lines[0].split())[:300]

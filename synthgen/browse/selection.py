@@ -1,0 +1,154 @@
+"""What a page shows, as an address says it, and the SQL that it becomes.
+
+    facets={"subset": ["multiview"], "environments": ["city"]}  any of the values; null is a value
+    ranges={"camera_yaw": [-0.5, 0.5], "cost_beauty": [10, null]}  ends included; null is no end
+    where=person_age_years > 60 AND person_hair_style = 'bob'
+    sort=person_age_years  descending=1
+
+Values never become SQL, they are bound to it; columns must be the manifest's.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from synthgen.browse.fields import Column
+from synthgen.browse.folder import Refused
+from synthgen.browse.sandbox import quoted
+from synthgen.browse.snapshot import Snapshot
+
+_MOST = 500  # values of all facets together
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Conditions by column, a checked SQL condition, and an order."""
+
+    facets: dict[str, list[Any]] = field(default_factory=dict)
+    ranges: dict[str, tuple[float | None, float | None]] = field(default_factory=dict)
+    where: str = ""
+    sort: str = ""
+    descending: bool = False
+
+    def condition(self, without: str = "") -> tuple[str, list[Any]]:
+        """An SQL condition and the values bound to it; `without` leaves one column's choice out."""
+        terms, values = ["true"], []
+        for name, chosen in self.facets.items():
+            if name != without:
+                term, bound = _facet(name, chosen)
+                terms.append(term)
+                values += bound
+        for name, ends in self.ranges.items():
+            for sign, end in zip((">=", "<="), ends, strict=True):
+                if name != without and end is not None:
+                    terms.append(f"{quoted(name)} {sign} ?")
+                    values.append(end)
+        if self.where:
+            terms.append(f"({self.where}\n)")
+        return " AND ".join(terms), values
+
+    def order(self) -> str:
+        """An ORDER BY clause: the manifest's own order where nothing else is said."""
+        if not self.sort:
+            return ""
+        way = "DESC" if self.descending else "ASC"
+        return f"ORDER BY {quoted(self.sort)} {way} NULLS LAST"
+
+    def constrained(self) -> list[str]:
+        """The columns of facets and ranges."""
+        return list(self.facets | self.ranges)
+
+
+def parse(query: Mapping[str, str], snapshot: Snapshot) -> Selection:
+    """The selection of a query string; raises `Refused` (400) with one line where it is wrong."""
+    facets = {
+        name: _values(name, values, _column(snapshot, name, "facets"))
+        for name, values in _object(query, "facets").items()
+    }
+    if sum(map(len, facets.values())) > _MOST:
+        raise Refused(f"facets: more than {_MOST} values; use where", 400)
+    ranges = {
+        name: _ends(name, ends, _column(snapshot, name, "ranges"))
+        for name, ends in _object(query, "ranges").items()
+    }
+    where = query.get("where", "").strip()
+    if where:
+        snapshot.sandbox.check(where)
+    sort = query.get("sort", "")
+    if sort and _column(snapshot, sort, "sort").listed:
+        raise Refused(f"sort: {sort} holds lists; sort by another column", 400)
+    return Selection(facets, ranges, where, sort, query.get("descending", "0") in ("1", "true"))
+
+
+def number(query: Mapping[str, str], name: str, default: int, low: int, high: int) -> int:
+    """A whole number of a query string; raises `Refused` (400) unless it lies in [low, high]."""
+    text = query.get(name, str(default))
+    try:
+        value = int(text)
+    except ValueError:
+        value = low - 1
+    if not low <= value <= high:
+        raise Refused(f"{name} = {text[:40]}: give a whole number from {low} to {high}", 400)
+    return value
+
+
+def _facet(name: str, chosen: list[Any]) -> tuple[str, list[Any]]:
+    values = [v for v in chosen if v is not None]
+    marks = ", ".join("?" * len(values))
+    terms = [f"{quoted(name)} IS NULL"] if None in chosen else []
+    if values and isinstance(values[0], _Element):
+        terms.append(f"list_has_any({quoted(name)}, [{marks}])")
+    elif values:
+        terms.append(f"{quoted(name)} IN ({marks})")
+    return f"({' OR '.join(terms) or 'true'})", [str(v) if isinstance(v, str) else v for v in values]
+
+
+class _Element(str):
+    """A value that one of the elements of a list must have."""
+
+
+def _column(snapshot: Snapshot, name: str, where: str) -> Column:
+    if name not in snapshot.columns:
+        raise Refused(f"{where}: the manifest has no column {name[:80]!r}", 400)
+    return snapshot.columns[name]
+
+
+def _object(query: Mapping[str, str], name: str) -> dict[str, Any]:
+    text = query.get(name, "")
+    if not text:
+        return {}
+    try:
+        value = json.loads(text)
+    except (ValueError, RecursionError):
+        value = None
+    if not isinstance(value, dict):
+        raise Refused(f'{name}: must be JSON such as {{"column": [...]}}', 400)
+    return value
+
+
+def _values(name: str, values: Any, column: Column) -> list[Any]:
+    types: dict[str, Any] = {"text": str, "boolean": bool, "number": (int, float)}
+    wanted = types[column.type]
+    if not isinstance(values, list) or not all(
+        v is None
+        or (isinstance(v, wanted) and (column.type != "number" or not isinstance(v, bool)))
+        for v in values
+    ):
+        raise Refused(f"facets: {name}: give a list of values of type {column.type}", 400)
+    return [_Element(v) if column.listed and isinstance(v, str) else v for v in values]
+
+
+def _ends(name: str, ends: Any, column: Column) -> tuple[float | None, float | None]:
+    if column.type != "number" or column.listed:
+        raise Refused(f"ranges: {name} is no column of numbers; use facets or where", 400)
+    right = isinstance(ends, list) and len(ends) == 2
+    if not right or not all(
+        e is None or (isinstance(e, int | float) and not isinstance(e, bool) and math.isfinite(e))
+        for e in ends
+    ):
+        raise Refused(f"ranges: {name}: give [low, high]; null is no end", 400)
+    return ends[0], ends[1]

@@ -1,0 +1,50 @@
+"""Starting the server: address, token, and the lines that a user sees."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Callable
+from pathlib import Path
+
+import uvicorn
+
+from synthgen.browse.app import create
+from synthgen.browse.folder import Folder
+from synthgen.browse.security import is_loopback, new_token
+from synthgen.browse.snapshot import Library, threads
+from synthgen.browse.thumbnails import Thumbnails
+from synthgen.errors import JobError
+
+
+def serve(
+    out: Path,
+    host: str,
+    port: int,
+    cache_megabytes: int,
+    say: Callable[[str], None],
+    ready: Callable[[str], None] = lambda address: None,
+) -> None:
+    """Serve a dataset until interrupted. `say` gets lines for the user, `ready` the address.
+
+    Raises `StorageError` if `out` is no dataset, `JobError` if the address cannot be had.
+    """
+    library = Library(Folder(out), threads())
+    token = None if is_loopback(host) else new_token()
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    try:
+        listening = socket.create_server((host, port), family=family)
+    except (OSError, OverflowError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise JobError("--port", host, str(port), f"{reason}; choose another, or 0") from None
+    port = listening.getsockname()[1]
+    shown = f"[{host}]" if ":" in host else host
+    address = f"http://{shown}:{port}/" + (f"?token={token}" if token else "")
+    app = create(library, Thumbnails(limit=cache_megabytes << 20), token, port)
+    say(f"{out}: {address} (Ctrl+C ends it)")
+    if token:
+        say("anyone with this address, token included, can see the dataset")
+    ready(address)
+    # Without a log of requests: the address of the first one holds the token.
+    config = uvicorn.Config(app, log_level="warning", access_log=False, server_header=False)
+    with listening:
+        uvicorn.Server(config).run(sockets=[listening])

@@ -1,0 +1,213 @@
+"""The manifest as it is now, in a sandboxed database: the table `manifest`, a row per shot.
+
+A `Snapshot` never changes. `Library` holds the current one and makes the next when the folder has
+grown. The first answers come from Parquet itself, where every query reads files; meanwhile the
+columns are read into memory, where they take a tenth of the time.
+
+Subjects that failed are rows, too: `failed` is true, `reason` says why, and the rest is NULL.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+import threading
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from synthgen import ledger, manifest
+from synthgen.browse.fields import LEFT_OUT, Column, column
+from synthgen.browse.folder import NAME, Folder, Refused
+from synthgen.browse.sandbox import Sandbox, literal, quoted
+from synthgen.columns import IDENTITY, PLACE, schema_of
+
+_NAME = re.compile(r"\w{1,128}", re.ASCII)
+_SETTLE = 2.0  # seconds between two looks at the folder
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """A manifest at one moment. `revision` names it, `shots` and `frames` are what is finished."""
+
+    sandbox: Sandbox
+    columns: dict[str, Column]
+    shots: int
+    frames: int
+    failures: int
+    revision: str
+    info: dict[str, Any]
+    in_memory: bool
+
+
+class Library:
+    """The current snapshot of a folder; `snapshot()` may be called from several threads."""
+
+    def __init__(self, folder: Folder, threads: int = 2) -> None:
+        self.folder, self.threads = folder, threads
+        self._lock = threading.Lock()
+        self._looked = time.monotonic()
+        self._loading: threading.Thread | None = None
+        self._current = _read(folder, threads, in_memory=False)
+        self._load()
+
+    def snapshot(self) -> Snapshot:
+        """The newest snapshot that is ready; looks at the folder at most every other second."""
+        with self._lock:
+            idle = self._loading is None or not self._loading.is_alive()
+            if idle and time.monotonic() - self._looked > _SETTLE:
+                self._looked = time.monotonic()
+                if revision(self.folder) != self._current.revision:
+                    self._load()
+            return self._current
+
+    def wait(self) -> Snapshot:
+        """The snapshot after whatever is being loaded now."""
+        if self._loading is not None:
+            self._loading.join()
+        return self._current
+
+    def _load(self) -> None:
+        self._loading = threading.Thread(target=self._replace, daemon=True)
+        self._loading.start()
+
+    def _replace(self) -> None:
+        try:
+            self._current = _read(self.folder, self.threads, in_memory=True)
+        except Exception as error:  # a manifest in the middle of a change: the next look tells
+            self._failure = error
+        self._looked = time.monotonic()
+
+
+def revision(folder: Folder) -> str:
+    """A name for the state of the folder: it changes when a subject or a shard is added."""
+    digest = hashlib.sha256()
+    info = folder.description()
+    places = ["dataset.json", "manifest"]
+    for subset in info["plan"]:
+        places += [f"{part}/{subset}" for part in ("ledger", "ledger/failed", "work")]
+    for place in places:
+        try:
+            found = (folder.root / place).stat()
+            digest.update(f"{place} {found.st_mtime_ns} {found.st_size}\n".encode())
+        except OSError:
+            digest.update(f"{place} -\n".encode())
+    return digest.hexdigest()[:16]
+
+
+def _read(folder: Folder, threads: int, in_memory: bool) -> Snapshot:
+    name = revision(folder)
+    info = folder.description()
+    sandbox = Sandbox(threads)
+    run = sandbox.connection.execute
+    files: list[Path] = []
+    for subset in info["plan"]:
+        files += _parquet(folder, info, subset)
+    sources = []
+    if files:
+        paths = ", ".join(map(literal, files))
+        sources.append(f"SELECT * FROM read_parquet([{paths}], union_by_name = true)")
+    if _waiting(folder, info, sandbox):
+        sources.append("SELECT * FROM waiting")
+    if not sources:
+        described = IDENTITY | PLACE | {"environments": "VARCHAR[]"}
+        empty = ", ".join(f"NULL::{kind} AS {quoted(n)}" for n, kind in described.items())
+        sources.append(f"SELECT {empty} LIMIT 0")
+    source = f"({' UNION ALL BY NAME '.join(sources)})"
+    described = run(f"DESCRIBE SELECT * FROM {source}").fetchall()
+    kept = [n for n, *_ in described if n not in LEFT_OUT | {"failed", "reason"}]
+    names = ", ".join(quoted(n) for n in kept)
+    failures = _failures(folder, info, sandbox)
+    body = (
+        f"SELECT {names}, false AS failed, NULL::VARCHAR AS reason FROM {source} "
+        "UNION ALL BY NAME SELECT * FROM failures"
+    )
+    run(f"CREATE {'TABLE' if in_memory else 'VIEW'} manifest AS {body}")
+    if in_memory:
+        run("DROP TABLE IF EXISTS waiting")
+    sandbox.lock([] if in_memory else files)
+    columns = {n: column(n, kind) for n, kind, *_ in run("DESCRIBE manifest").fetchall()}
+    ((shots, frames),) = sandbox.ask(
+        "SELECT count(*), coalesce(sum(len(environments)), 0) FROM manifest WHERE NOT failed"
+    )
+    return Snapshot(
+        sandbox, columns, int(shots), int(frames), failures, name, info, in_memory=in_memory
+    )
+
+
+def _parquet(folder: Folder, info: dict[str, Any], subset: str) -> list[Path]:
+    """The Parquet files of a subset: merged, or while it is rendered those of its shards."""
+    merged = f"manifest/{subset}.parquet"
+    if info.get("complete"):
+        try:
+            return [folder.file(merged)]
+        except Refused:
+            pass
+    found = []
+    for path in folder.files(f"ledger/{subset}", ".json"):
+        try:
+            record = json.loads(path.read_bytes())
+            if record["subjects"]:
+                found.append(folder.file(f"ledger/{subset}/{path.stem}.parquet"))
+        except (OSError, ValueError, KeyError, TypeError, Refused):
+            continue
+    return found
+
+
+def _waiting(folder: Folder, info: dict[str, Any], sandbox: Sandbox) -> bool:
+    """Read the finished subjects that wait for their shard into a table; whether there are any."""
+    rows: list[dict[str, Any]] = []
+    for subset in info["plan"]:
+        for path in folder.files(f"work/{subset}", ".json"):
+            try:
+                rows += manifest.decode_rows(path)
+            except (OSError, ValueError):
+                continue
+    rows = [r for r in rows if isinstance(r, dict) and all(_NAME.fullmatch(n) for n in r)]
+    if not rows:
+        return False
+    try:
+        columns = schema_of(rows)
+    except ValueError:
+        return False
+    _fill(sandbox, "waiting", columns, rows)
+    return True
+
+
+def _failures(folder: Folder, info: dict[str, Any], sandbox: Sandbox) -> int:
+    rows = []
+    for subset in info["plan"]:
+        for path in folder.files(f"ledger/failed/{subset}", ".json"):
+            try:
+                entry = json.loads(path.read_bytes())
+                key, reason, attempts = entry["key"], entry["reason"], int(entry["attempts"])
+            except (OSError, ValueError, KeyError, TypeError):
+                continue
+            if NAME.fullmatch(str(key)) and attempts >= ledger.ATTEMPTS:
+                rows.append({"key": key, "subject": key, "subset": subset, "reason": str(reason)})
+    described = dict.fromkeys(("key", "subject", "subset", "reason"), "VARCHAR")
+    _fill(sandbox, "failures", described | {"failed": "BOOLEAN"}, [r | {"failed": True} for r in rows])
+    return len(rows)
+
+
+def _fill(
+    sandbox: Sandbox, table: str, columns: dict[str, str], rows: list[dict[str, Any]]
+) -> None:
+    """A table of rows, which DuckDB reads as JSON: lists, maps and structures keep their types."""
+    described = ", ".join(f"{quoted(n)} {kind}" for n, kind in columns.items())
+    run = sandbox.connection.execute
+    run(f"CREATE TABLE {table} ({described})")
+    if rows:
+        shape = "{" + ", ".join(f"{json.dumps(n)}: {json.dumps(k)}" for n, k in columns.items()) + "}"
+        run(
+            f"INSERT INTO {table} SELECT unnest(from_json(line, ?)) FROM (SELECT unnest(?) AS line)",
+            [shape, [json.dumps(r) for r in rows]],
+        )
+
+
+def threads() -> int:
+    """How many threads queries get: two, or one on a machine with one core."""
+    return min(2, os.cpu_count() or 1)
