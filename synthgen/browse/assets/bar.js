@@ -1,0 +1,106 @@
+// The bar above the grid: what dataset it is, the SQL condition, the order, and the chosen filters.
+
+import { button, h, number, segments } from "./dom.js";
+
+const SIZES = [[110, "S"], [160, "M"], [240, "L"]];
+
+export class Bar {
+  /** @param calls `resize(pixels)`, `filters()` shows or hides the filters, `help()` */
+  constructor(element, chips, address, calls) {
+    Object.assign(this, { element, chips, address, calls });
+  }
+
+  build(dataset) {
+    const { selection } = this.address;
+    this.columns = new Map(dataset.columns.map((column) => [column.name, column]));
+    this.total = h("span", { class: "total number", "aria-live": "polite" });
+    this.state = h("span", { class: "state" });
+    this.where = h("input", {
+      type: "text", class: "where", spellcheck: "false", autocomplete: "off",
+      placeholder: "SQL condition, e.g. person_age_years > 60 AND head_yaw < 0",
+      "aria-label": "SQL condition on the manifest", "aria-describedby": "where-problem",
+      onkeydown: (event) => {
+        if (event.key === "Enter") this.address.select({ where: this.where.value.trim() });
+      },
+      onchange: () => {
+        const where = this.where.value.trim();
+        if (where !== this.address.selection.where) this.address.select({ where });
+      },
+    });
+    this.problem = h("p", { class: "problem", id: "where-problem", role: "alert", hidden: true });
+    this.sort = h(
+      "select",
+      { "aria-label": "Sort by", onchange: () => this.address.select({ sort: this.sort.value }) },
+      h("option", { value: "", text: "as stored" }),
+      ...dataset.columns.map(({ name, label }) => h("option", { value: name, text: label || name })),
+    );
+    this.direction = button("↑", () => {
+      this.address.select({ descending: !this.address.selection.descending });
+    });
+    this.filters = button("Filters", () => this.calls.filters(), { class: "filters" });
+    this.element.replaceChildren(
+      h("div", { class: "brand" }, h("h1", { text: dataset.name }), this.total, this.state),
+      h("div", { class: "search" },
+        h("span", { class: "prompt", "aria-hidden": "true", text: "WHERE" }), this.where,
+        h("kbd", { text: "/", "aria-hidden": "true" }), this.problem),
+      h("div", { class: "order" }, this.filters, this.sort, this.direction,
+        segments("Size of pictures", SIZES, 160, this.calls.resize),
+        button("?", () => this.calls.help(), { label: "Keyboard" })),
+    );
+    this.where.value = selection.where;
+    this.show();
+  }
+
+  /** Shows the selection: field, order and a chip per filter. */
+  show() {
+    const { where, sort, descending, facets, ranges } = this.address.selection;
+    if (document.activeElement !== this.where) this.where.value = where;
+    this.sort.value = sort;
+    this.direction.textContent = descending ? "↓" : "↑";
+    const label = descending ? "Descending; change to ascending" : "Ascending; change to descending";
+    this.direction.setAttribute("aria-label", label);
+    this.direction.title = label;
+    this.direction.disabled = !sort;
+    const chips = [
+      ...Object.entries(facets).map(([name, values]) => [
+        `${this.label(name)}: ${values.map((v) => v ?? "none").join(", ")}`,
+        () => this.address.choose(name, []),
+      ]),
+      ...Object.entries(ranges).map(([name, [low, high]]) => [
+        `${this.label(name)}: ${span(low, high)}`, () => this.address.bound(name, null, null),
+      ]),
+    ];
+    if (where) chips.push([where, () => { this.where.value = ""; this.address.select({ where: "" }); }]);
+    this.chips.hidden = !chips.length;
+    const clear = button("Clear all", () => {
+      this.where.value = "";
+      this.address.select({ facets: {}, ranges: {}, where: "" });
+    }, { class: "clear" });
+    this.chips.replaceChildren(...chips.map(([text, remove]) => h(
+      "span", { class: "chip" }, h("span", { class: "words", text, title: text }),
+      button("×", remove, { label: `Remove ${text}` }),
+    )), ...(chips.length > 1 ? [clear] : []));
+  }
+
+  label(name) {
+    return this.columns.get(name)?.label || name;
+  }
+
+  count(total, of) {
+    const all = of && total !== of ? ` of ${number(of)}` : "";
+    this.total.textContent = `${number(total)}${all} shots`;
+  }
+
+  /** One line below the field; null takes it away. */
+  say(problem) {
+    this.problem.textContent = problem ?? "";
+    this.problem.hidden = !problem;
+    this.where.setAttribute("aria-invalid", String(Boolean(problem)));
+  }
+}
+
+function span(low, high) {
+  if (low === null) return `≤ ${number(high)}`;
+  if (high === null) return `≥ ${number(low)}`;
+  return `${number(low)} – ${number(high)}`;
+}

@@ -1,0 +1,102 @@
+// Elements without markup: text from a dataset only ever becomes a text node.
+
+/**
+ * An element with attributes, listeners and children.
+ *
+ * @param {string} tag
+ * @param {object} options attributes by name; `class` and `text` as said; functions under
+ *   `onclick` and the like become listeners; true sets an empty attribute, false and null none
+ * @param {...(Node|string|null)} children strings become text nodes, null is left out
+ */
+export function h(tag, options = {}, ...children) {
+  return fill(document.createElement(tag), options, children);
+}
+
+/** As `h`, of an SVG element. */
+export function svg(tag, options = {}, ...children) {
+  return fill(document.createElementNS("http://www.w3.org/2000/svg", tag), options, children);
+}
+
+function fill(element, options, children) {
+  for (const [name, value] of Object.entries(options)) {
+    if (value === null || value === undefined || value === false) continue;
+    if (name === "text") element.textContent = value;
+    else if (typeof value === "function") element.addEventListener(name.slice(2), value);
+    else element.setAttribute(name, value === true ? "" : value);
+  }
+  element.append(...children.filter((child) => child !== null && child !== undefined));
+  return element;
+}
+
+/** A button; `label` is read aloud where the text alone says too little. */
+export function button(text, onclick, { label, ...more } = {}) {
+  return h("button", { type: "button", "aria-label": label, title: label, onclick, text, ...more });
+}
+
+/** One choice of several as a row of buttons; returns the element, with `select(value)` on it. */
+export function segments(label, choices, current, onchange) {
+  const group = h("div", { class: "segments", role: "radiogroup", "aria-label": label });
+  const buttons = choices.map(([value, text]) =>
+    h("button", { type: "button", role: "radio", text, onclick: () => pick(value, true) }),
+  );
+  const pick = (value, said) => {
+    choices.forEach(([other], i) => {
+      buttons[i].setAttribute("aria-checked", String(other === value));
+      buttons[i].tabIndex = other === value ? 0 : -1;
+    });
+    if (said) onchange(value);
+  };
+  group.addEventListener("keydown", (event) => {
+    const step = { ArrowRight: 1, ArrowDown: 1, ArrowLeft: -1, ArrowUp: -1 }[event.key];
+    const at = buttons.indexOf(event.target);
+    if (!step || at < 0) return;
+    event.preventDefault();
+    event.stopPropagation();
+    const next = (at + step + buttons.length) % buttons.length;
+    buttons[next].focus();
+    pick(choices[next][0], true);
+  });
+  group.append(...buttons);
+  group.select = (value) => pick(value, false);
+  pick(current, false);
+  return group;
+}
+
+/** A labelled slider with its value written beside it; returns {element, input, set}. */
+export function slider(label, { min, max, step, value, write, oninput }) {
+  const output = h("output", { class: "number" });
+  const input = h("input", { type: "range", min, max, step, "aria-label": label });
+  const show = () => {
+    output.textContent = write(Number(input.value));
+    input.setAttribute("aria-valuetext", output.textContent);
+  };
+  input.addEventListener("input", () => {
+    show();
+    oninput(Number(input.value));
+  });
+  const set = (to) => {
+    input.value = to;
+    show();
+  };
+  set(value);
+  const element = h("label", { class: "slider" }, h("span", { text: label }), input, output);
+  return { element, input, set };
+}
+
+/** A number for people: grouped thousands, four significant figures. */
+export function number(value) {
+  if (typeof value !== "number" || !Number.isFinite(value)) return String(value);
+  if (Number.isInteger(value)) return value.toLocaleString("en");
+  const size = Math.abs(value);
+  if (size >= 1e5 || size < 1e-3) return value.toPrecision(3);
+  return String(Number(value.toPrecision(4)));
+}
+
+/** A size in bytes for people. */
+export function bytes(value) {
+  for (const unit of ["B", "kB", "MB"]) {
+    if (value < 1000) return `${Number(value.toPrecision(3))} ${unit}`;
+    value /= 1000;
+  }
+  return `${Number(value.toPrecision(3))} GB`;
+}

@@ -1,0 +1,136 @@
+// The filters beside the grid: a group per kind of column, each column a list of values with their
+// counts or a histogram. Only columns of open groups are asked for.
+
+import { h, number } from "./dom.js";
+import { Histogram } from "./histogram.js";
+
+const SHOWN = 8;
+const OPEN = 1; // groups that are open at first
+
+export class Facets {
+  /** @param address the page's `Address`  @param onopen called when other columns are wanted */
+  constructor(element, address, onopen) {
+    this.element = element;
+    this.address = address;
+    this.onopen = onopen;
+    this.parts = new Map();
+    this.groups = [];
+  }
+
+  /** Builds the filters of a dataset's columns. */
+  build(columns) {
+    const grouped = new Map();
+    for (const column of columns) {
+      if (column.kind === "other") continue;
+      if (!grouped.has(column.group)) grouped.set(column.group, []);
+      grouped.get(column.group).push(column);
+    }
+    const { facets, ranges } = this.address.selection;
+    this.parts.clear();
+    this.groups = [...grouped].map(([name, members], i) => {
+      const parts = members.map((column) => this.part(column));
+      const chosen = members.some((c) => c.name in facets || c.name in ranges);
+      const details = h(
+        "details", { class: "group", open: i < OPEN || chosen, ontoggle: () => this.onopen() },
+        h("summary", {}, h("span", { text: name }), h("span", { class: "chosen" })),
+        ...parts,
+      );
+      return { details, members };
+    });
+    this.element.replaceChildren(...this.groups.map((group) => group.details));
+  }
+
+  part(column) {
+    const heading = h("h3", { text: column.label || column.name });
+    const part = column.kind === "range"
+      ? new Histogram(column.label || column.name, (low, high) =>
+        this.address.bound(column.name, low, high))
+      : new Values(column, this.address);
+    this.parts.set(column.name, part);
+    return h("section", { class: "facet" }, heading, part.element);
+  }
+
+  /** Columns of the groups that are open. */
+  wanted() {
+    return this.groups
+      .filter(({ details }) => details.open)
+      .flatMap(({ members }) => members.map((column) => column.name));
+  }
+
+  /** Shows the counts of a selection. */
+  show(counts) {
+    const { facets, ranges } = this.address.selection;
+    for (const [name, values] of Object.entries(counts.facets ?? {})) {
+      this.parts.get(name)?.show(values, facets[name] ?? []);
+    }
+    for (const [name, histogram] of Object.entries(counts.histograms ?? {})) {
+      this.parts.get(name)?.show(histogram, ranges[name] ?? [null, null]);
+    }
+    for (const { details, members } of this.groups) {
+      const chosen = members.filter((c) => c.name in facets || c.name in ranges).length;
+      details.querySelector(".chosen").textContent = chosen ? String(chosen) : "";
+    }
+  }
+}
+
+/** The values of one column with their counts, most frequent first. */
+class Values {
+  constructor(column, address) {
+    this.column = column;
+    this.address = address;
+    this.lines = new Map();
+    this.all = false;
+    this.list = h("div", { class: "values", role: "group", "aria-label": column.label || column.name });
+    this.more = h("button", { type: "button", class: "more", hidden: true, onclick: () => this.toggle() });
+    this.element = h("div", {}, this.list, this.more);
+  }
+
+  show(counts, chosen) {
+    this.counts = counts;
+    // A value that is chosen but no longer there is kept, to be let go of.
+    const known = new Set(counts.map(([value]) => value));
+    const missing = chosen.filter((value) => !known.has(value)).map((value) => [value, 0]);
+    const ordered = [...counts, ...missing];
+    const shown = ordered.filter(([value], i) => this.all || i < SHOWN || chosen.includes(value));
+    const most = Math.max(1, ...counts.map(([, count]) => count));
+    const wanted = shown.map(([value, count]) => {
+      const line = this.line(value);
+      line.box.checked = chosen.includes(value);
+      line.count.textContent = number(count);
+      line.element.style.setProperty("--share", String(count / most));
+      return line.element;
+    });
+    // Moved only where the order has changed: a moved element loses the focus.
+    wanted.forEach((element, i) => {
+      if (this.list.children[i] !== element) this.list.insertBefore(element, this.list.children[i] ?? null);
+    });
+    while (this.list.children.length > wanted.length) this.list.lastChild.remove();
+    this.more.hidden = ordered.length <= SHOWN;
+    this.more.textContent = this.all ? "fewer" : `${ordered.length - shown.length} more`;
+  }
+
+  line(value) {
+    const key = JSON.stringify(value);
+    if (!this.lines.has(key)) {
+      const box = h("input", { type: "checkbox", onchange: () => this.changed(value, box.checked) });
+      const count = h("span", { class: "number" });
+      const text = value === null ? "none" : value === "" ? "(empty)" : String(value);
+      const element = h(
+        "label", { class: value === null ? "value null" : "value" },
+        box, h("span", { class: "name", text, title: text }), count,
+      );
+      this.lines.set(key, { element, box, count });
+    }
+    return this.lines.get(key);
+  }
+
+  changed(value, checked) {
+    const chosen = (this.address.selection.facets[this.column.name] ?? []).filter((v) => v !== value);
+    this.address.choose(this.column.name, checked ? [...chosen, value] : chosen);
+  }
+
+  toggle() {
+    this.all = !this.all;
+    this.show(this.counts, this.address.selection.facets[this.column.name] ?? []);
+  }
+}

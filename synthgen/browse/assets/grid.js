@@ -1,0 +1,360 @@
+// The grid: one cell per shot, of any number of shots, with only those near the window in the page.
+//
+// Browsers cannot make a page much higher than 10 million pixels. A longer list scrolls a page of
+// `TALLEST` pixels: small steps move the list by as much, jumps (the scrollbar dragged, Home, End)
+// move it in proportion, and when the scrolling rests the page is put where the list stands.
+
+import { ask, path, query } from "./api.js";
+import { h } from "./dom.js";
+
+const TALLEST = 6_000_000;
+const BLOCK = 100;
+const KEPT_BLOCKS = 200;
+const CAPTION = 22;
+const GAP = 6;
+
+export class Grid {
+  /**
+   * @param {HTMLElement} element what scrolls
+   * @param {object} calls `rows(offset, limit, signal)` resolves to {total, rows};
+   *   `open(row, index)`, `href(row, index)`, `environment(row)` the picture's number,
+   *   `caption(row)` and `failed(error)`
+   */
+  constructor(element, calls) {
+    this.element = element;
+    this.calls = calls;
+    this.size = 160;
+    this.active = 0;
+    this.canvas = h("div", { class: "cells" });
+    this.empty = h("div", { class: "notice", hidden: true });
+    element.append(this.canvas, this.empty);
+    for (const [name, value] of Object.entries({
+      tabindex: "0", role: "listbox", "aria-label": "Shots",
+    })) element.setAttribute(name, value);
+    element.addEventListener("scroll", () => this.scrolled(), { passive: true });
+    element.addEventListener("keydown", (event) => this.key(event));
+    new ResizeObserver(() => this.resized()).observe(element);
+    this.reset();
+  }
+
+  /** Forgets all rows and starts at the top, with another selection. */
+  reset() {
+    this.forget();
+    this.total = null;
+    this.top = 0;
+    this.active = 0;
+    this.element.scrollTop = this.lastScroll = 0;
+    this.empty.hidden = true;
+    this.element.setAttribute("aria-busy", "true");
+    this.layout();
+  }
+
+  /** Asks for everything again where it stands: the dataset has grown. */
+  refresh() {
+    const { top, active, total } = this;
+    this.forget();
+    Object.assign(this, { top, active, total });
+    this.layout();
+  }
+
+  forget() {
+    this.generation = (this.generation ?? 0) + 1;
+    for (const request of this.requests?.values() ?? []) request.abort();
+    for (const cell of this.cells?.values() ?? []) cell.remove();
+    this.blocks = new Map();
+    this.requests = new Map();
+    this.cells = new Map();
+  }
+
+  resize(size) {
+    this.size = size;
+    this.resized();
+  }
+
+  resized() {
+    const first = this.columns ? Math.floor(this.top / this.pitch) * this.columns : 0;
+    this.measure();
+    this.top = Math.floor(first / this.columns) * this.pitch;
+    for (const cell of this.cells.values()) cell.remove();
+    this.cells.clear();
+    this.layout();
+  }
+
+  measure() {
+    const style = getComputedStyle(this.element);
+    const edge = parseFloat(style.paddingLeft) || 0;
+    const inside = Math.max(80, this.element.clientWidth - 2 * edge);
+    this.columns = Math.max(2, Math.round((inside + GAP) / (this.size + GAP)));
+    this.cell = (inside - (this.columns - 1) * GAP) / this.columns;
+    this.pitch = this.cell + CAPTION + GAP;
+    this.edge = edge;
+  }
+
+  /** Height of the list as if the page could be that high. */
+  get height() {
+    return Math.ceil((this.total ?? this.columns * 4) / this.columns) * this.pitch;
+  }
+
+  layout() {
+    this.measure();
+    const page = Math.min(this.height, TALLEST);
+    this.canvas.style.height = `${page}px`;
+    this.settle();
+    this.draw();
+  }
+
+  /** Puts the page where the list stands. */
+  settle() {
+    const view = this.element.clientHeight;
+    this.top = Math.max(0, Math.min(this.top, this.height - view));
+    if (this.height > TALLEST) {
+      const share = this.top / Math.max(1, this.height - view);
+      this.element.scrollTop = share * (TALLEST - view);
+    } else {
+      this.element.scrollTop = this.top;
+    }
+    this.lastScroll = this.element.scrollTop;
+  }
+
+  scrolled() {
+    const { scrollTop, clientHeight: view } = this.element;
+    const step = scrollTop - this.lastScroll;
+    if (step === 0) return;
+    this.lastScroll = scrollTop;
+    if (this.height <= TALLEST) {
+      this.top = scrollTop;
+    } else {
+      const end = TALLEST - view;
+      const near = Math.abs(step) < 2 * view && scrollTop > 0 && scrollTop < end - 1;
+      const last = this.height - view;
+      this.top = near
+        ? Math.max(0, Math.min(last, this.top + step))
+        : (Math.min(scrollTop, end) / end) * last;
+      clearTimeout(this.rest);
+      this.rest = setTimeout(() => { this.settle(); this.draw(); }, 200);
+    }
+    this.fast = Math.abs(step) > view;
+    cancelAnimationFrame(this.frame);
+    this.frame = requestAnimationFrame(() => this.draw());
+  }
+
+  draw() {
+    if (!this.element.clientHeight) return;
+    const view = this.element.clientHeight;
+    const count = this.total ?? Math.ceil(view / this.pitch) * this.columns;
+    const from = Math.max(0, Math.floor(this.top / this.pitch) - 1) * this.columns;
+    const to = Math.min(count, Math.ceil((this.top + view) / this.pitch + 1) * this.columns);
+    for (const [index, cell] of this.cells) {
+      if (index < from || index >= to) {
+        cell.drop();
+        this.cells.delete(index);
+      }
+    }
+    const shift = this.lastScroll - this.top;
+    for (let index = from; index < to; index++) {
+      let cell = this.cells.get(index);
+      if (!cell) {
+        cell = new Cell(this, index);
+        this.cells.set(index, cell);
+        this.canvas.append(cell.element);
+      }
+      cell.place(this, shift);
+      cell.show(this.known(index));
+    }
+    this.markActive();
+    clearTimeout(this.wait);
+    this.wait = setTimeout(() => this.request(from, to), this.fast ? 90 : 0);
+    this.fast = false;
+  }
+
+  known(index) {
+    return this.blocks.get(Math.floor(index / BLOCK))?.[index % BLOCK];
+  }
+
+  /** Asks for the blocks of these cells, and no longer for others. */
+  request(from, to) {
+    const first = Math.floor(from / BLOCK);
+    const last = Math.floor(Math.max(from, to - 1) / BLOCK);
+    for (const [block, request] of this.requests) {
+      if (block < first - 1 || block > last + 1) {
+        request.abort();
+        this.requests.delete(block);
+      }
+    }
+    for (let block = first; block <= last; block++) this.load(block);
+  }
+
+  async load(block) {
+    if (this.blocks.has(block) || this.requests.has(block)) return;
+    const request = new AbortController();
+    const { generation } = this;
+    this.requests.set(block, request);
+    try {
+      const answer = await this.calls.rows(block * BLOCK, BLOCK, request.signal);
+      if (generation !== this.generation) return;
+      this.blocks.set(block, answer.rows);
+      if (this.blocks.size > KEPT_BLOCKS) this.blocks.delete(this.blocks.keys().next().value);
+      const changed = this.total !== answer.total;
+      this.total = answer.total;
+      this.element.removeAttribute("aria-busy");
+      this.calls.counted(answer.total);
+      if (changed) this.layout();
+      else this.draw();
+    } catch (error) {
+      if (error.name !== "AbortError" && generation === this.generation) this.calls.failed(error);
+    } finally {
+      if (this.requests.get(block) === request) this.requests.delete(block);
+    }
+  }
+
+  /** The row at a place in the selection, asked for if need be; null beyond the ends. */
+  async row(index) {
+    if (index < 0 || (this.total !== null && index >= this.total)) return null;
+    if (!this.known(index)) {
+      const block = Math.floor(index / BLOCK);
+      const answer = await this.calls.rows(block * BLOCK, BLOCK);
+      this.blocks.set(block, answer.rows);
+      this.total = answer.total;
+    }
+    return this.known(index) ?? null;
+  }
+
+  /** Says why there is nothing to see. */
+  notice(title, text) {
+    this.empty.replaceChildren(h("h2", { text: title }), h("p", { text }));
+    this.empty.hidden = false;
+    this.element.removeAttribute("aria-busy");
+    this.total = 0;
+    this.layout();
+  }
+
+  key(event) {
+    const rows = Math.max(1, Math.floor(this.element.clientHeight / this.pitch));
+    const steps = {
+      ArrowRight: 1, ArrowLeft: -1, ArrowDown: this.columns, ArrowUp: -this.columns,
+      PageDown: rows * this.columns, PageUp: -rows * this.columns,
+      Home: -Infinity, End: Infinity,
+    };
+    if (event.ctrlKey || event.metaKey || event.altKey || !this.total) return;
+    if (event.key === "Enter") {
+      const row = this.known(this.active);
+      if (row) this.calls.open(row, this.active);
+    } else if (event.key in steps) {
+      this.activate(this.active + steps[event.key]);
+    } else return;
+    event.preventDefault();
+  }
+
+  /** Makes a cell the current one and brings it into the window. */
+  activate(index) {
+    this.active = Math.max(0, Math.min((this.total ?? 1) - 1, index));
+    const y = Math.floor(this.active / this.columns) * this.pitch;
+    const view = this.element.clientHeight;
+    const top = Math.min(y, Math.max(this.top, y + this.pitch - view));
+    if (top !== this.top) {
+      this.top = top;
+      this.settle();
+    }
+    this.draw();
+  }
+
+  markActive() {
+    for (const [index, cell] of this.cells) {
+      cell.element.setAttribute("aria-selected", String(index === this.active));
+    }
+    const active = this.cells.get(this.active);
+    if (active) this.element.setAttribute("aria-activedescendant", active.element.id);
+    else this.element.removeAttribute("aria-activedescendant");
+  }
+}
+
+/** One shot's place in the grid. */
+class Cell {
+  constructor(grid, index) {
+    this.grid = grid;
+    this.index = index;
+    this.image = h("img", { alt: "", draggable: "false" });
+    this.text = h("span", { class: "caption" });
+    this.element = h(
+      "a",
+      {
+        class: "cell", id: `cell-${index}`, role: "option", tabindex: "-1",
+        "aria-posinset": String(index + 1),
+        onclick: (event) => this.clicked(event),
+      },
+      h("span", { class: "picture" }, this.image), this.text,
+    );
+  }
+
+  clicked(event) {
+    // With a modifier the browser opens a tab of its own.
+    if (event.ctrlKey || event.metaKey || event.shiftKey || !this.row) return;
+    event.preventDefault();
+    this.grid.active = this.index;
+    this.grid.calls.open(this.row, this.index);
+  }
+
+  place({ columns, cell, pitch, edge, total }, shift) {
+    const x = edge + (this.index % columns) * (cell + GAP);
+    const y = Math.floor(this.index / columns) * pitch + shift;
+    const { style } = this.element;
+    style.transform = `translate(${x}px, ${y}px)`;
+    style.width = `${cell}px`;
+    style.height = `${cell + CAPTION}px`;
+    this.element.setAttribute("aria-setsize", String(total ?? -1));
+  }
+
+  show(row) {
+    if (!row || row === this.row) return;
+    this.row = row;
+    const { calls } = this.grid;
+    this.element.setAttribute("href", calls.href(row, this.index));
+    this.element.setAttribute("aria-label", calls.caption(row).label);
+    this.text.textContent = calls.caption(row).text;
+    this.load();
+  }
+
+  async load() {
+    const { row, grid } = this;
+    const reason = row.broken ?? (row.failed ? row.reason || "failed" : null);
+    if (reason) return this.broken(reason);
+    this.request = new AbortController();
+    const pixels = Math.ceil(grid.cell * Math.min(devicePixelRatio || 1, 2));
+    const size = [128, 160, 256, 384].find((s) => s >= pixels * 0.9) ?? 384;
+    const address = path("thumbnail", row.subset, row.key)
+      + query({ environment: grid.calls.environment(row), size, revision: grid.calls.revision() });
+    try {
+      const response = await ask(address, { signal: this.request.signal });
+      const why = response.headers.get("X-Broken");
+      if (why !== null) return this.broken(why);
+      const blob = await response.blob();
+      if (this.dropped) return;
+      this.address = URL.createObjectURL(blob);
+      this.image.src = this.address;
+      await this.image.decode();
+      this.element.classList.add("loaded");
+    } catch (error) {
+      if (error.name !== "AbortError" && !this.dropped) this.broken(error.message);
+    }
+  }
+
+  broken(reason) {
+    this.element.classList.add("broken");
+    this.element.setAttribute("aria-label", `${this.grid.calls.caption(this.row).label}, broken: ${reason}`);
+    this.image.replaceWith(
+      h("span", { class: "reason" }, h("b", { text: "Broken" }), h("span", { text: reason })),
+    );
+  }
+
+  /** Takes the cell off the page and stops what it waits for. */
+  drop() {
+    this.dropped = true;
+    this.request?.abort();
+    this.element.remove();
+    if (this.address) URL.revokeObjectURL(this.address);
+  }
+
+  remove() {
+    this.drop();
+  }
+}

@@ -1,0 +1,253 @@
+// The panel of light that can be moved: the shaded canvas beside the rendered picture.
+
+import { ask, askArray, path, query } from "./api.js";
+import { button, h, slider } from "./dom.js";
+import { SHININESS, Shading } from "./shading.js";
+
+// Skin without its fine structure; only a start for the sliders.
+const START = { diffuse: 1, specular: [0, 0.02, 0.01, 0] };
+const DEGREE = Math.PI / 180;
+
+export class LightPanel {
+  /**
+   * @param shot the server's answer about a shot
+   * @param pictures address of the rendered picture under environment e: `pictures(e)`
+   * @param catalogue environments of the dataset, [{id}]
+   * @param environment the one to start with, a number of the shot's
+   */
+  constructor(shot, pictures, catalogue, environment) {
+    this.shot = shot;
+    this.pictures = pictures;
+    this.settings = { angle: 0, exposure: 1, ...structuredClone(START), backdrop: true };
+    this.own = null;
+    this.canvas = h("canvas", {
+      class: "light", tabindex: "0", role: "img",
+      "aria-label": "Shaded with the environment's light; drag or use the arrow keys to turn it",
+      onpointerdown: (event) => this.grab(event),
+      onpointermove: (event) => this.pull(event),
+      onpointerup: () => { this.held = null; },
+      onpointerleave: () => { this.reading.textContent = ""; },
+      onkeydown: (event) => this.key(event),
+    });
+    this.rendered = h("img", { alt: "As rendered" });
+    this.reading = h("output", { class: "reading number" });
+    this.problem = h("p", { class: "problem", role: "alert", hidden: true });
+    this.element = h(
+      "section",
+      {
+        class: "panel lightpanel", "aria-label": "Light",
+        ondragover: (event) => this.over(event), ondragleave: () => this.out(),
+        ondrop: (event) => this.drop(event),
+      },
+      h("h2", { text: "Light" }),
+      h(
+        "div", { class: "pair" },
+        h("figure", {}, this.canvas, h("figcaption", {}, h("span", { text: "Shaded live" }), this.reading)),
+        h("figure", {}, this.rendered, h("figcaption", { text: "As rendered" })),
+      ),
+      this.problem,
+      this.controls(catalogue),
+    );
+    this.start(environment);
+  }
+
+  controls(catalogue) {
+    const { environments } = this.shot;
+    const mine = environments.map((use, i) => h("option", { value: `shot:${i}`, text: use.id }));
+    const others = catalogue.filter(({ id }) => !environments.some((use) => use.id === id));
+    this.select = h(
+      "select", { "aria-label": "Environment", onchange: () => this.chosen() },
+      h("optgroup", { label: "Of this shot" }, ...mine),
+      others.length
+        ? h("optgroup", { label: "Of the dataset" },
+          ...others.map(({ id }) => h("option", { value: `other:${id}`, text: id })))
+        : null,
+    );
+    this.file = h("input", {
+      type: "file", accept: ".exr,.hdr", class: "hidden", "aria-label": "Panorama file",
+      onchange: () => this.file.files[0] && this.upload(this.file.files[0]),
+    });
+    const scalar = (label, name, min, max, step, write, to = (v) => v) => slider(label, {
+      min, max, step, value: 0, write,
+      oninput: (value) => { this.settings[name] = to(value); this.draw(); },
+    });
+    const plain = (value) => value.toFixed(2);
+    this.angle = slider("Rotation", {
+      min: -180, max: 180, step: 1, value: 0, write: (v) => `${Math.round(v)}°`,
+      oninput: (value) => { this.settings.angle = this.rotation + value * DEGREE; this.draw(); },
+    });
+    this.exposure = scalar("Exposure", "exposure", -4, 4, 0.1, (v) => `${v >= 0 ? "+" : "−"}${Math.abs(v).toFixed(1)} stops`,
+      (stops) => this.factor * 2 ** stops);
+    this.diffuse = scalar("Diffuse k_d", "diffuse", 0, 2, 0.01, plain);
+    this.specular = SHININESS.map((exponent, i) => slider(`Specular k_s ${exponent}`, {
+      min: 0, max: 0.5, step: 0.005, value: START.specular[i], write: (v) => v.toFixed(3),
+      oninput: (value) => { this.settings.specular[i] = value; this.draw(); },
+    }));
+    const backdrop = h("input", {
+      type: "checkbox", checked: true,
+      onchange: (event) => { this.settings.backdrop = event.target.checked; this.draw(); },
+    });
+    return h(
+      "div", { class: "controls" },
+      h(
+        "div", { class: "row" }, this.select,
+        button("Open .exr or .hdr…", () => this.file.click()), this.file,
+        h("label", { class: "check" }, backdrop, h("span", { text: "Backdrop" })),
+        button("Reset", () => this.reset()),
+      ),
+      this.angle.element, this.exposure.element, this.diffuse.element,
+      ...this.specular.map((part) => part.element),
+    );
+  }
+
+  async start(environment) {
+    const { subset, shot } = this.place();
+    try {
+      this.shading = new Shading(this.canvas);
+      const [albedo, normal, alpha] = await Promise.all(
+        ["albedo", "normal", "alpha"].map((pass) => askArray(path("values", subset, shot, pass))),
+      );
+      this.shading.setShot(albedo, normal, alpha, this.shot.meta.camera);
+    } catch (error) {
+      return this.fail(error);
+    }
+    await this.use(environment);
+  }
+
+  place() {
+    const { subset, key } = this.shot.meta;
+    return { subset, shot: key };
+  }
+
+  /** Lights the shot with its environment number e. */
+  async use(e) {
+    const use = this.shot.environments[e];
+    this.select.value = `shot:${e}`;
+    this.rendered.src = this.pictures(e);
+    this.rotation = use.rotation;
+    this.factor = this.shot.meta.exposures[e];
+    await this.load(use.id);
+    this.reset();
+  }
+
+  async chosen() {
+    const [kind, ...rest] = this.select.value.split(":");
+    const name = rest.join(":");
+    if (kind === "shot") return this.use(Number(name));
+    if (kind === "other") await this.load(name);
+    else this.light(this.own);
+    this.draw();
+  }
+
+  async load(id) {
+    try {
+      this.light(await askArray(path("lightmaps", id) + query({ height: 32 })));
+    } catch (error) {
+      this.fail(error);
+    }
+  }
+
+  light(maps) {
+    this.maps = maps;
+    this.shading?.setLightmaps(maps);
+    this.problem.hidden = true;
+  }
+
+  async upload(file) {
+    this.out();
+    try {
+      const response = await ask("/lightmaps", { method: "POST", body: file });
+      const shape = response.headers.get("X-Shape").match(/\d+/g).map(Number);
+      this.own = { data: new Float32Array(await response.arrayBuffer()), shape, type: "float32" };
+      this.select.querySelector(".own")?.remove();
+      this.select.append(h("option", { class: "own", value: "own:", text: file.name }));
+      this.select.value = "own:";
+      // Of a foreign panorama nobody knows the exposure: its mean light becomes middle grey's.
+      const plane = this.own.data.subarray(0, this.own.data.length / 5);
+      const mean = plane.reduce((sum, v) => sum + v, 0) / plane.length;
+      this.rotation = 0;
+      this.factor = mean > 0 ? 0.5 / mean : 1;
+      this.light(this.own);
+      this.reset();
+    } catch (error) {
+      this.fail(error);
+    }
+  }
+
+  reset() {
+    Object.assign(this.settings, structuredClone(START), {
+      angle: this.rotation, exposure: this.factor,
+    });
+    this.angle.set(0);
+    this.exposure.set(0);
+    this.diffuse.set(START.diffuse);
+    this.specular.forEach((part, i) => part.set(START.specular[i]));
+    this.draw();
+  }
+
+  draw() {
+    cancelAnimationFrame(this.frame);
+    this.frame = requestAnimationFrame(() => {
+      this.shading?.draw(this.settings);
+      this.canvas.dataset.drawn = String(Number(this.canvas.dataset.drawn ?? 0) + 1);
+    });
+  }
+
+  grab(event) {
+    this.canvas.setPointerCapture(event.pointerId);
+    this.held = { x: event.clientX, turn: Number(this.angle.input.value) };
+  }
+
+  pull(event) {
+    const box = this.canvas.getBoundingClientRect();
+    if (this.held) {
+      // What lies behind the subject follows the pointer: the width of the canvas is half a turn.
+      const turn = this.held.turn - ((event.clientX - this.held.x) / box.width) * 180;
+      return this.turn(turn);
+    }
+    const x = Math.floor(((event.clientX - box.left) / box.width) * this.canvas.width);
+    const y = Math.floor(((event.clientY - box.top) / box.height) * this.canvas.height);
+    if (x < 0 || y < 0 || x >= this.canvas.width || y >= this.canvas.height) return;
+    const found = this.shading?.read(this.settings, x, y);
+    this.reading.textContent = found ? `linear ${found.map((v) => v.toFixed(3)).join(" ")}` : "";
+  }
+
+  turn(degrees) {
+    const wrapped = ((((degrees + 180) % 360) + 360) % 360) - 180;
+    this.angle.set(wrapped);
+    this.settings.angle = this.rotation + Number(this.angle.input.value) * DEGREE;
+    this.draw();
+  }
+
+  key(event) {
+    const step = { ArrowLeft: 5, ArrowRight: -5 }[event.key];
+    if (!step) return;
+    event.preventDefault();
+    event.stopPropagation();
+    this.turn(Number(this.angle.input.value) + step);
+  }
+
+  over(event) {
+    event.preventDefault();
+    this.element.classList.add("over");
+  }
+
+  out() {
+    this.element.classList.remove("over");
+  }
+
+  drop(event) {
+    event.preventDefault();
+    this.out();
+    if (event.dataTransfer.files[0]) this.upload(event.dataTransfer.files[0]);
+  }
+
+  fail(error) {
+    this.problem.textContent = error.message;
+    this.problem.hidden = false;
+  }
+
+  close() {
+    this.shading?.close();
+  }
+}

@@ -1,0 +1,254 @@
+// Shading of albedo and normals with lightmaps, in WebGL2.
+//
+//     c = D(k_d a s_d(n) + sum_e k_s(e) s_s(e, r)),   r = 2 (n.v) n - v
+//
+// The numbers are those of totalediting: look-ups as `lightmaps.sample` makes them (bilinear between
+// texel centres, columns wrap, beyond a pole lies the pole's row turned by half a circle), composed
+// as `phong.compose` and shown as `phong.display`. Lightmaps are in their environment's own frame,
+// normals in the camera's; the shader turns directions by Rz(-angle) camera_to_world.
+
+export const SHININESS = [1, 16, 32, 64];
+
+const VERTEX = `#version 300 es
+void main() {
+  vec2 corner = vec2((gl_VertexID << 1) & 2, gl_VertexID & 2);
+  gl_Position = vec4(2.0 * corner - 1.0, 0.0, 1.0);
+}`;
+
+const FRAGMENT = `#version 300 es
+precision highp float;
+precision highp int;
+precision highp sampler2D;
+precision highp sampler2DArray;
+
+uniform sampler2D albedo;      // linear; alpha in w
+uniform sampler2D normal;      // camera space
+uniform sampler2DArray maps;   // diffuse, then specular 1, 16, 32, 64
+uniform vec4 lens;             // focal x, y and centre x, y in pixels, y down
+uniform mat3 turn;             // camera space to the lightmaps' frame
+uniform float exposure;        // linear factor
+uniform float diffuse;
+uniform vec4 specular;
+uniform bool backdrop;
+uniform bool linear;           // without the display transform, to be read back
+out vec4 colour;
+
+const float PI = 3.14159265358979;
+
+vec3 texel(int column, int row, int layer) {
+  ivec2 size = textureSize(maps, 0).xy;
+  if (row < 0) { row = -1 - row; column += size.x / 2; }
+  if (row >= size.y) { row = 2 * size.y - 1 - row; column += size.x / 2; }
+  column = ((column % size.x) + size.x) % size.x;
+  return texelFetch(maps, ivec3(column, row, layer), 0).rgb;
+}
+
+vec3 light(vec3 d, int layer) {
+  vec2 size = vec2(textureSize(maps, 0).xy);
+  float ring = length(d.xy);
+  float azimuth = ring == 0.0 ? 0.0 : atan(d.y, d.x);
+  float polar = ring == 0.0 && d.z == 0.0 ? 0.0 : atan(ring, d.z);
+  vec2 place = vec2(0.5 - azimuth / (2.0 * PI), polar / PI) * size - 0.5;
+  vec2 low = floor(place);
+  vec2 part = place - low;
+  ivec2 at = ivec2(low);
+  vec3 upper = mix(texel(at.x, at.y, layer), texel(at.x + 1, at.y, layer), part.x);
+  vec3 lower = mix(texel(at.x, at.y + 1, layer), texel(at.x + 1, at.y + 1, layer), part.x);
+  return mix(upper, lower, part.y);
+}
+
+vec3 display(vec3 x) {
+  x = clamp(x, 0.0, 8.0);
+  vec3 bent = 0.8 + log(1.0 + 26.23164050992174 * (max(x, 0.8) - 0.8)) / 26.23164050992174;
+  bent = mix(bent, x, lessThanEqual(x, vec3(0.8)));
+  vec3 power = 1.055 * pow(max(bent, 0.0031308), vec3(1.0 / 2.4)) - 0.055;
+  return min(mix(power, 12.92 * bent, lessThanEqual(bent, vec3(0.0031308))), 1.0);
+}
+
+void main() {
+  ivec2 size = textureSize(albedo, 0);
+  ivec2 pixel = ivec2(gl_FragCoord.x, float(size.y) - gl_FragCoord.y);
+  vec2 centre = vec2(pixel) + 0.5;
+  vec4 base = texelFetch(albedo, pixel, 0);
+  vec3 n = texelFetch(normal, pixel, 0).xyz;
+  vec3 v = normalize(vec3(-(centre.x - lens.z) / lens.x, (centre.y - lens.w) / lens.y, 1.0));
+  vec3 r = 2.0 * dot(n, v) / max(dot(n, n), 1e-12) * n - v;
+  vec3 up = turn * n, back = turn * r;
+  vec3 shaded = diffuse * base.rgb * light(up, 0);
+  for (int i = 0; i < 4; i++) shaded += specular[i] * light(back, i + 1);
+  shaded *= exposure;
+  if (linear) { colour = vec4(shaded, base.a); return; }
+  // Where no surface was seen, fine hair or an edge, there is no normal to shade with.
+  float there = dot(n, n) > 0.25 ? base.a : 0.0;
+  vec3 behind = backdrop ? display(exposure * light(turn * -v, 4)) : vec3(0.0);
+  float cover = backdrop ? 1.0 : there;
+  colour = vec4(mix(behind, display(shaded), there), cover);
+}`;
+
+/** A failure of WebGL, as one line for people. */
+export class ShadingError extends Error {}
+
+export class Shading {
+  /** Raises `ShadingError` where WebGL2 cannot be had. */
+  constructor(canvas) {
+    this.canvas = canvas;
+    const gl = canvas.getContext("webgl2", {
+      alpha: true, premultipliedAlpha: false, antialias: false, depth: false,
+      preserveDrawingBuffer: true,
+    });
+    if (!gl) throw new ShadingError("This browser offers no WebGL2, which the light needs.");
+    this.gl = gl;
+    this.program = link(gl, VERTEX, FRAGMENT);
+    this.places = {};
+    for (let i = gl.getProgramParameter(this.program, gl.ACTIVE_UNIFORMS) - 1; i >= 0; i--) {
+      const { name } = gl.getActiveUniform(this.program, i);
+      this.places[name] = gl.getUniformLocation(this.program, name);
+    }
+    this.textures = [gl.createTexture(), gl.createTexture(), gl.createTexture()];
+    this.ready = { shot: false, maps: false };
+  }
+
+  /**
+   * What is shaded. Arrays are {data, shape, type} of one height and width.
+   *
+   * @param albedo (H, W, 3) float32, linear  @param normal (H, W, 3) float32, camera space
+   * @param alpha (H, W) uint8 or float32 in [0, 1]
+   * @param camera meta.json's: `intrinsics` 3×3 in pixels, `camera_to_world` 4×4
+   */
+  setShot(albedo, normal, alpha, camera) {
+    const [height, width] = albedo.shape;
+    const count = height * width;
+    const base = new Float32Array(4 * count);
+    const directions = new Float32Array(4 * count);
+    const scale = alpha.type === "uint8" ? 1 / 255 : 1;
+    for (let i = 0; i < count; i++) {
+      for (let c = 0; c < 3; c++) {
+        base[4 * i + c] = albedo.data[3 * i + c];
+        directions[4 * i + c] = normal.data[3 * i + c];
+      }
+      base[4 * i + 3] = alpha.data[i] * scale;
+    }
+    this.canvas.width = width;
+    this.canvas.height = height;
+    this.put(0, width, height, base);
+    this.put(1, width, height, directions);
+    const [[fx, , cx], [, fy, cy]] = camera.intrinsics;
+    this.lens = [fx, fy, cx, cy];
+    this.axes = camera.camera_to_world;
+    this.ready.shot = true;
+  }
+
+  put(unit, width, height, data) {
+    const { gl } = this;
+    gl.activeTexture(gl.TEXTURE0 + unit);
+    gl.bindTexture(gl.TEXTURE_2D, this.textures[unit]);
+    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA32F, width, height, 0, gl.RGBA, gl.FLOAT, data);
+    nearest(gl, gl.TEXTURE_2D);
+  }
+
+  /** Lightmaps (5, 3, H, 2H) float32, in their environment's own frame. */
+  setLightmaps({ data, shape }) {
+    const [layers, , height, width] = shape;
+    const texels = new Float32Array(4 * layers * height * width);
+    const plane = height * width;
+    for (let layer = 0; layer < layers; layer++) {
+      for (let c = 0; c < 3; c++) {
+        const from = (3 * layer + c) * plane;
+        for (let i = 0; i < plane; i++) texels[4 * (layer * plane + i) + c] = data[from + i];
+      }
+    }
+    const { gl } = this;
+    gl.activeTexture(gl.TEXTURE2);
+    gl.bindTexture(gl.TEXTURE_2D_ARRAY, this.textures[2]);
+    gl.texImage3D(
+      gl.TEXTURE_2D_ARRAY, 0, gl.RGBA32F, width, height, layers, 0, gl.RGBA, gl.FLOAT, texels,
+    );
+    nearest(gl, gl.TEXTURE_2D_ARRAY);
+    this.ready.maps = true;
+  }
+
+  /**
+   * Draws the shot.
+   *
+   * @param settings `angle` of the environment about +Z in radians, `exposure` linear factor,
+   *   `diffuse` k_d, `specular` k_s of SHININESS, `backdrop` whether the environment lies behind
+   */
+  draw(settings, linear = false) {
+    if (!this.ready.shot || !this.ready.maps) return;
+    const { gl, places } = this;
+    gl.viewport(0, 0, this.canvas.width, this.canvas.height);
+    gl.useProgram(this.program);
+    gl.uniform1i(places.albedo, 0);
+    gl.uniform1i(places.normal, 1);
+    gl.uniform1i(places.maps, 2);
+    gl.uniform4f(places.lens, ...this.lens);
+    gl.uniformMatrix3fv(places.turn, false, columns(this.axes, settings.angle));
+    gl.uniform1f(places.exposure, settings.exposure);
+    gl.uniform1f(places.diffuse, settings.diffuse);
+    gl.uniform4f(places.specular, ...settings.specular);
+    gl.uniform1i(places.backdrop, Number(settings.backdrop));
+    gl.uniform1i(places.linear, Number(linear));
+    gl.drawArrays(gl.TRIANGLES, 0, 3);
+  }
+
+  /** Linear light at a pixel, [r, g, b]; null where float pictures cannot be drawn into. */
+  read(settings, x, y) {
+    const { gl } = this;
+    if (!this.ready.shot || !this.ready.maps || !gl.getExtension("EXT_color_buffer_float")) return null;
+    const { width, height } = this.canvas;
+    this.target ??= { buffer: gl.createFramebuffer(), picture: gl.createRenderbuffer() };
+    gl.bindFramebuffer(gl.FRAMEBUFFER, this.target.buffer);
+    gl.bindRenderbuffer(gl.RENDERBUFFER, this.target.picture);
+    gl.renderbufferStorage(gl.RENDERBUFFER, gl.RGBA32F, width, height);
+    gl.framebufferRenderbuffer(
+      gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.RENDERBUFFER, this.target.picture,
+    );
+    const found = new Float32Array(4);
+    this.draw(settings, true);
+    gl.readPixels(x, height - 1 - y, 1, 1, gl.RGBA, gl.FLOAT, found);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    return [...found.slice(0, 3)];
+  }
+
+  /** Frees the graphics card's memory at once. */
+  close() {
+    this.gl.getExtension("WEBGL_lose_context")?.loseContext();
+  }
+}
+
+/** Rz(-angle) times the rotation of `axes`, column by column as WebGL takes it. */
+function columns(axes, angle) {
+  const cosine = Math.cos(angle);
+  const sine = Math.sin(angle);
+  return [0, 1, 2].flatMap((j) => [
+    cosine * axes[0][j] + sine * axes[1][j],
+    cosine * axes[1][j] - sine * axes[0][j],
+    axes[2][j],
+  ]);
+}
+
+function nearest(gl, target) {
+  gl.texParameteri(target, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
+  gl.texParameteri(target, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
+  gl.texParameteri(target, gl.TEXTURE_WRAP_S, gl.CLAMP_TO_EDGE);
+  gl.texParameteri(target, gl.TEXTURE_WRAP_T, gl.CLAMP_TO_EDGE);
+}
+
+/** A program of two shaders; raises `ShadingError` with the driver's first line. */
+export function link(gl, vertex, fragment) {
+  const program = gl.createProgram();
+  for (const [kind, source] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]]) {
+    const shader = gl.createShader(kind);
+    gl.shaderSource(shader, source);
+    gl.compileShader(shader);
+    if (!gl.getShaderParameter(shader, gl.COMPILE_STATUS)) {
+      throw new ShadingError(`shader: ${(gl.getShaderInfoLog(shader) ?? "").split("\n")[0]}`);
+    }
+    gl.attachShader(program, shader);
+  }
+  gl.linkProgram(program);
+  if (!gl.getProgramParameter(program, gl.LINK_STATUS)) {
+    throw new ShadingError(`shader: ${(gl.getProgramInfoLog(program) ?? "").split("\n")[0]}`);
+  }
+  return program;
+}

@@ -1,0 +1,168 @@
+// One shot, large: its passes, its light, its metadata, and the way to its neighbours.
+
+import { askJson, path } from "./api.js";
+import { button, h, segments } from "./dom.js";
+import { LightPanel } from "./light.js";
+import { members, metadata } from "./metadata.js";
+import { Overlay } from "./overlay.js";
+import { Stage } from "./stage.js";
+
+const NAMES = {
+  image: "Image", albedo: "Albedo", normal: "Normal", depth: "Depth", uv: "UV",
+  canonical: "Canonical", alpha: "Alpha", parts: "Parts",
+};
+
+export class ShotView {
+  /**
+   * @param address the page's `Address`, at a view `shot`  @param dataset the server's answer
+   * @param neighbour `neighbour(index)` resolves to the row at a place of the selection, or null
+   */
+  constructor(element, address, dataset, neighbour, fail) {
+    Object.assign(this, { element, address, dataset, neighbour });
+    this.closed = false;
+    this.start().catch((error) => { if (!this.closed) fail(error); });
+  }
+
+  async start() {
+    const { subset, id, options } = this.address.view;
+    const shot = await askJson(path("api", "shot", subset, id));
+    if (this.closed) return;
+    this.shot = shot;
+    this.at = options.at === undefined ? null : Number(options.at);
+    this.head = this.header(subset, id);
+    if (shot.broken) return this.broken(shot.broken);
+    this.environment = Math.min(Number(options.environment) || 0, shot.environments.length - 1);
+    this.passes = ["image", ...shot.passes.filter((p) => p in NAMES && p !== "image")];
+    this.pass = this.passes.includes(options.pass) ? options.pass : "image";
+    this.overlay = new Overlay(shot);
+    this.overlay.landmarks = options.landmarks === "1";
+    this.overlay.mesh = options.mesh === "1";
+    this.stage = new Stage(shot, this.dataset.part_names, this.overlay, (e) => this.pick(e));
+    this.light = new LightPanel(
+      shot, (e) => this.stage.picture("image", e), this.dataset.environments, this.environment,
+    );
+    this.element.replaceChildren(
+      this.head,
+      h("div", { class: "columns" },
+        h("div", { class: "main" }, this.tools(), this.stage.element, this.light.element),
+        h("div", { class: "side" }, this.siblings(), this.reproduce(),
+          metadata(shot.meta), members(shot.members))),
+    );
+    this.stage.show(this.pass, this.environment);
+  }
+
+  header(subset, id) {
+    const subject = id.split("_")[0];
+    this.previous = button("←", () => this.step(-1), { label: "Previous shot of the selection" });
+    this.next = button("→", () => this.step(1), { label: "Next shot of the selection" });
+    this.previous.disabled = this.next.disabled = this.at === null;
+    return h(
+      "header", { class: "viewbar" },
+      button("‹ Grid", () => this.address.close(), { label: "Back to the grid" }),
+      h("h1", { text: `${subset}/${id}` }),
+      this.previous, this.next, h("span", { class: "spring" }),
+      button("Subject in 3D", () => this.address.show("subject", subset, subject)),
+      button("Play", () => this.address.show("play", subset, subject,
+        { environment: String(this.environment ?? 0) })),
+    );
+  }
+
+  broken(reason) {
+    this.element.replaceChildren(
+      this.head,
+      h("div", { class: "notice", role: "alert" },
+        h("h2", { text: "This shot is broken" }), h("p", { text: reason }),
+        h("p", { class: "hint", text: "synthgen verify says what else is wrong with its shard." })),
+    );
+    if (this.shot.members?.length) this.element.append(members(this.shot.members));
+  }
+
+  tools() {
+    this.switch = segments("Pass", this.passes.map((p) => [p, NAMES[p]]), this.pass, (p) => this.show(p));
+    const overlay = (name, label) => h("label", { class: "check" },
+      h("input", {
+        type: "checkbox", checked: this.overlay[name],
+        onchange: (event) => {
+          this.overlay[name] = event.target.checked;
+          this.address.note({ [name]: event.target.checked ? "1" : "0" });
+          this.stage.redraw();
+        },
+      }), h("span", { text: label }));
+    return h("div", { class: "tools" }, this.switch,
+      overlay("landmarks", "Landmarks"), overlay("mesh", "Mesh"));
+  }
+
+  show(pass) {
+    this.pass = pass;
+    this.switch.select(pass);
+    this.address.note({ pass });
+    this.stage.show(pass, this.environment);
+  }
+
+  /** Chooses an environment of the shot for light and play. */
+  pick(environment) {
+    this.environment = environment;
+    this.address.note({ environment: String(environment) });
+    this.stage.mark(environment);
+    this.light.use(environment);
+  }
+
+  siblings() {
+    const list = this.shot.siblings.map((key) => {
+      const [subset, id] = key.includes("/") ? key.split("/") : [this.shot.meta.subset, key];
+      const current = id === this.shot.meta.key;
+      return h("li", {}, h("a", {
+        href: this.address.href("shot", subset, id), text: id.split("_").pop(), title: id,
+        "aria-current": current ? "true" : null,
+        "aria-label": `Shot ${id}`,
+        onclick: (event) => {
+          if (event.ctrlKey || event.metaKey) return;
+          event.preventDefault();
+          this.address.show("shot", subset, id, { pass: this.pass });
+        },
+      }));
+    });
+    return h("section", { class: "panel", "aria-label": "Shots of this subject" },
+      h("h2", { text: `Shots of ${this.shot.meta.subject}` }), h("ul", { class: "keys" }, ...list));
+  }
+
+  reproduce() {
+    const copy = button("Copy", async () => {
+      try {
+        await navigator.clipboard.writeText(this.shot.command);
+        copy.textContent = "Copied";
+      } catch {
+        // Without leave to use the clipboard, it is at least selected.
+        getSelection().selectAllChildren(code);
+        copy.textContent = "Selected";
+      }
+      setTimeout(() => { copy.textContent = "Copy"; }, 1500);
+    }, { label: "Copy the command that renders this shot again" });
+    const code = h("code", { text: this.shot.command });
+    return h("section", { class: "panel", "aria-label": "Reproduce" },
+      h("h2", { text: "Render it again" }), h("div", { class: "command" }, code, copy));
+  }
+
+  async step(by) {
+    if (this.at === null) return;
+    const row = await this.neighbour(this.at + by);
+    if (!row || this.closed) return;
+    const options = { ...this.address.view.options, at: String(this.at + by) };
+    this.address.show("shot", row.subset, row.key, options);
+  }
+
+  key(event) {
+    const step = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
+    const number = /^[1-9]$/.test(event.key) ? Number(event.key) : 0;
+    if (step) this.step(step);
+    else if (number && this.passes?.[number - 1]) this.show(this.passes[number - 1]);
+    else return false;
+    return true;
+  }
+
+  close() {
+    this.closed = true;
+    this.stage?.close();
+    this.light?.close();
+  }
+}

@@ -1,0 +1,189 @@
+// The pictures of a shot: every pass, its environments side by side, and the values under the pointer.
+
+import { askArray, path, query } from "./api.js";
+import { h } from "./dom.js";
+
+const AXES = {
+  rgb: ["R", "G", "B"], albedo: ["R", "G", "B"], normal: ["x", "y", "z"],
+  uv: ["u", "v"], canonical: ["x", "y", "z"],
+};
+const UNITS = { depth: " m", canonical: " m" };
+
+export class Stage {
+  /**
+   * @param shot the server's answer about a shot  @param names of parts by id
+   * @param overlay the shot's `Overlay`  @param picked called with an environment's number
+   */
+  constructor(shot, names, overlay, picked) {
+    this.shot = shot;
+    this.names = names;
+    this.overlay = overlay;
+    this.picked = picked;
+    this.values = new Map();
+    this.figures = h("div", { class: "figures" });
+    this.readout = h("dl", { class: "readout", "aria-label": "Values under the pointer" });
+    this.legend = h("ul", { class: "legend", hidden: true, "aria-label": "Parts" });
+    this.element = h("div", { class: "stage" }, this.figures, this.legend, this.readout);
+    this.resizing = new ResizeObserver(() => this.redraw());
+    this.resizing.observe(this.figures);
+    this.idle();
+  }
+
+  /** Address of a pass as a picture. */
+  picture(pass, environment = 0) {
+    const { subset, key } = this.shot.meta;
+    return path("pass", subset, key, pass) + query({ environment });
+  }
+
+  /** Shows a pass; `image` shows all environments side by side. */
+  show(pass, environment) {
+    this.pass = pass;
+    const { environments } = this.shot;
+    const many = pass === "image" && environments.length > 1;
+    const shown = many ? environments.map((_, e) => e) : [environment];
+    this.figures.replaceChildren(...shown.map((e) => this.figure(pass, e, many)));
+    this.figures.style.setProperty("--count", String(shown.length));
+    this.legend.hidden = pass !== "parts";
+    if (pass === "parts") this.showLegend();
+    this.mark(environment);
+    this.redraw();
+  }
+
+  figure(pass, e, many) {
+    const { environments } = this.shot;
+    const use = environments[e];
+    const image = h("img", {
+      alt: pass === "image" ? `Picture under ${use?.id}` : `${pass} of ${this.shot.key}`,
+      draggable: "false",
+    });
+    const figure = h(
+      "figure",
+      {},
+      h(
+        "div",
+        {
+          class: "plate",
+          onpointermove: (event) => this.read(event, image, e),
+          onpointerdown: (event) => this.read(event, image, e),
+          onpointerleave: () => this.idle(),
+        },
+        image, h("canvas", { class: "overlay", "aria-hidden": "true" }),
+      ),
+      pass === "image" ? this.caption(use, e, many) : null,
+    );
+    figure.dataset.environment = String(e);
+    image.addEventListener("load", () => this.redraw());
+    image.addEventListener("error", () => {
+      image.replaceWith(h("p", { class: "problem", text: `The ${pass} could not be read.` }));
+    });
+    image.src = this.picture(pass, e);
+    return figure;
+  }
+
+  caption(use, e, many) {
+    const words = [h("b", { text: use?.id ?? `environment ${e}` })];
+    if (Number.isFinite(use?.rotation)) {
+      words.push(h("span", { class: "number", text: `${Math.round((use.rotation * 180) / Math.PI)}°` }));
+    }
+    if (Number.isFinite(use?.exposure)) {
+      const sign = use.exposure >= 0 ? "+" : "−";
+      words.push(h("span", { class: "number", text: `${sign}${Math.abs(use.exposure).toFixed(2)} stops` }));
+    }
+    if (!many) return h("figcaption", {}, ...words);
+    const pick = h("button", {
+      type: "button", class: "pick", "aria-label": `Use ${use?.id} for light and play`,
+      onclick: () => this.picked(e),
+    }, ...words);
+    return h("figcaption", {}, pick);
+  }
+
+  mark(environment) {
+    for (const figure of this.figures.children) {
+      figure.classList.toggle("current", figure.dataset.environment === String(environment));
+    }
+  }
+
+  /** Draws landmarks and wires again; a failure is said in the readout. */
+  async redraw() {
+    try {
+      for (const canvas of this.figures.querySelectorAll("canvas.overlay")) {
+        await this.overlay.draw(canvas);
+      }
+    } catch (error) {
+      this.readout.replaceChildren(h("dt", { class: "problem", text: error.message }));
+    }
+  }
+
+  showLegend() {
+    if (this.legend.childElementCount) return;
+    const parts = Array.isArray(this.names)
+      ? this.names.map((part, id) => (typeof part === "object" ? part : { id, name: part }))
+      : Object.entries(this.names ?? {}).map(([id, name]) => ({ id: Number(id), name }));
+    this.legend.append(...parts.map(({ id, name, colour }) => {
+      const key = h("span", { class: "swatch", "aria-hidden": "true" });
+      if (colour) key.style.background = `rgb(${colour.join(" ")})`;
+      return h("li", {}, key, h("span", { class: "number", text: String(id) }), h("span", { text: name }));
+    }));
+  }
+
+  idle() {
+    this.readout.replaceChildren(h("dt", { class: "hint", text: "Point at a picture to read its values." }));
+  }
+
+  /** Arrays of passes are fetched when they are first asked for, each once. */
+  array(pass, environment) {
+    const name = pass === "image" ? `image ${environment}` : pass;
+    if (!this.values.has(name)) {
+      const { subset, key } = this.shot.meta;
+      const address = path("values", subset, key, pass) + query({ environment });
+      const waiting = { array: null };
+      this.values.set(name, waiting);
+      askArray(address).then(
+        (array) => { waiting.array = array; this.again?.(); },
+        (error) => { waiting.error = error.message; this.again?.(); },
+      );
+    }
+    return this.values.get(name);
+  }
+
+  read(event, image, environment) {
+    const box = image.getBoundingClientRect();
+    const { width, height } = this.shot.meta.camera;
+    const x = Math.floor(((event.clientX - box.left) / box.width) * width);
+    const y = Math.floor(((event.clientY - box.top) / box.height) * height);
+    if (x < 0 || y < 0 || x >= width || y >= height) return this.idle();
+    const passes = [...new Set([this.pass, "parts", "depth", "alpha"])]
+      .filter((pass) => pass !== "landmarks" && (pass === "image" || this.shot.passes.includes(pass)));
+    this.again = () => this.write(x, y, passes, environment);
+    this.again();
+  }
+
+  write(x, y, passes, environment) {
+    const lines = [h("dt", { text: "pixel" }), h("dd", { class: "number", text: `${x}, ${y}` })];
+    for (const pass of passes) {
+      const { array, error } = this.array(pass, environment);
+      const text = error ?? (array ? this.value(pass, array, x, y) : "…");
+      lines.push(h("dt", { text: pass }), h("dd", { class: "number", text }));
+    }
+    this.readout.replaceChildren(...lines);
+  }
+
+  value(pass, { data, shape, type }, x, y) {
+    const [, width, channels = 1] = shape;
+    const at = (y * width + x) * channels;
+    const values = [...data.slice(at, at + channels)];
+    if (pass === "parts") {
+      const part = this.names?.[values[0]];
+      return `${values[0]} ${part?.name ?? part ?? ""}`;
+    }
+    const digits = type === "uint8" ? 0 : 4;
+    const written = values.map((value) => value.toFixed(digits));
+    const axes = AXES[pass] ?? [];
+    return written.map((v, i) => (axes[i] ? `${axes[i]} ${v}` : v)).join("  ") + (UNITS[pass] ?? "");
+  }
+
+  close() {
+    this.resizing.disconnect();
+    this.again = null;
+  }
+}
