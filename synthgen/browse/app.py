@@ -2,29 +2,48 @@
 
 from __future__ import annotations
 
+import io
+import json
+import math
 from collections.abc import Callable
 from importlib.resources import files
 from typing import Any
 from xml.sax.saxutils import escape
 
+import numpy as np
+from PIL import Image
 from starlette.applications import Starlette
+from starlette.concurrency import run_in_threadpool
+from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
-from starlette.middleware.gzip import GZipMiddleware
 from starlette.requests import Request
-from starlette.responses import FileResponse, JSONResponse, Response
+from starlette.responses import FileResponse, JSONResponse, Response, StreamingResponse
 from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
-from synthgen.browse import dataset, samples, selection, shots
+from synthgen.browse import counts, dataset, light, samples, selection, shot_page, shots, subjects
+from synthgen.browse.decoded import Decoder
 from synthgen.browse.folder import Folder, Refused, name
 from synthgen.browse.samples import Broken, Sample
 from synthgen.browse.sandbox import ROWS
 from synthgen.browse.security import Guard, plain_header
-from synthgen.browse.snapshot import Library
+from synthgen.browse.snapshot import Library, Snapshot
 from synthgen.browse.thumbnails import SIZES, Thumbnails
 from synthgen.ledger import StorageError
 
 _ASSETS = files("synthgen.browse") / "assets"
+# An address does not say which bytes it stands for, so before long it is asked about again.
+_BRIEFLY = {"Cache-Control": "private, max-age=60"}
+
+
+class Answer(JSONResponse):
+    """JSON of whatever a dataset holds: NaN becomes null, and half characters are escaped."""
+
+    def render(self, content: Any) -> bytes:
+        try:
+            return json.dumps(content, allow_nan=False, separators=(",", ":")).encode()
+        except ValueError:
+            return json.dumps(_finite(content), separators=(",", ":")).encode()
 
 
 class Server:
@@ -32,13 +51,14 @@ class Server:
 
     def __init__(self, library: Library, thumbnails: Thumbnails) -> None:
         self.library, self.thumbnails = library, thumbnails
+        self.decoder = Decoder()
         self.folder: Folder = library.folder
 
     def page(self, request: Request) -> Response:
         return FileResponse(str(_ASSETS / "index.html"), headers={"Cache-Control": "no-cache"})
 
     def dataset(self, request: Request) -> Response:
-        return JSONResponse(dataset.describe(self.library.snapshot()))
+        return Answer(dataset.describe(self.library.snapshot()))
 
     def shots(self, request: Request) -> Response:
         snapshot = self.library.snapshot()
@@ -50,7 +70,15 @@ class Server:
         for row in rows:
             row["broken"] = health.reason(row)
         found = shots.total(snapshot, chosen)
-        return JSONResponse({"total": found, "rows": rows, "revision": snapshot.revision})
+        return Answer({"total": found, "rows": rows, "revision": snapshot.revision})
+
+    def counts(self, request: Request) -> Response:
+        snapshot = self.library.snapshot()
+        chosen = selection.parse(request.query_params, snapshot)
+        wanted = request.query_params.get("columns")
+        names = None if wanted is None else [n for n in wanted.split(",") if n]
+        found = shots.total(snapshot, chosen)
+        return Answer({"total": found} | counts.count(snapshot, chosen, names))
 
     def thumbnail(self, request: Request) -> Response:
         environment = selection.number(request.query_params, "environment", 0, 0, 99)
@@ -59,8 +87,67 @@ class Server:
             picture = self.thumbnails.get(self._sample(request), environment, size)
         except Broken as reason:
             return _broken_picture(str(reason), size)
-        # The address does not say which bytes it stands for, so it is asked about again.
-        return Response(picture, headers={"Cache-Control": "private, max-age=60"}, media_type="image/jpeg")
+        return Response(picture, headers=_BRIEFLY, media_type="image/jpeg")
+
+    def shot(self, request: Request) -> Response:
+        row, snapshot = self._row(request), self.library.snapshot()
+        return Answer(shot_page.describe(self.folder, snapshot, self.decoder, row))
+
+    def picture(self, request: Request) -> Response:
+        environment = selection.number(request.query_params, "environment", 0, 0, 99)
+        wanted = request.path_params["pass"]
+        drawn = self.decoder.picture(self._sample(request), wanted, environment)
+        buffer = io.BytesIO()
+        # Quick rather than small: it is drawn for one look.
+        Image.fromarray(drawn).save(buffer, "PNG", compress_level=1)
+        return Response(buffer.getvalue(), headers=_BRIEFLY, media_type="image/png")
+
+    def values(self, request: Request) -> Response:
+        environment = selection.number(request.query_params, "environment", 0, 0, 99)
+        wanted = request.path_params["pass"]
+        return _array(self.decoder.values(self._sample(request), wanted, environment))
+
+    def member(self, request: Request) -> Response:
+        sample = self._sample(request)
+        member = sample.member(request.path_params["name"])
+        file_name = plain_header(f"{sample.key}.{member.name}").replace('"', "_").replace("\\", "_")
+        headers = {
+            "Content-Disposition": f'attachment; filename="{file_name}"',
+            "Content-Length": str(member.size),
+            "Content-Security-Policy": "sandbox",
+        }
+        return StreamingResponse(
+            sample.stream(member), headers=headers, media_type="application/octet-stream"
+        )
+
+    def lightmaps(self, request: Request) -> Response:
+        height = selection.number(request.query_params, "height", 32, *light.HEIGHTS)
+        return _array(light.of_dataset(self.folder, request.path_params["environment"], height))
+
+    async def bake(self, request: Request) -> Response:
+        height = selection.number(request.query_params, "height", 32, *light.HEIGHTS)
+        content = bytearray()
+        async for piece in request.stream():
+            content += piece
+            if len(content) > light.LARGEST_UPLOAD:
+                most = light.LARGEST_UPLOAD >> 20
+                raise Refused(f"the file is larger than {most} MB; make the panorama smaller", 413)
+        return _array(await run_in_threadpool(light.of_upload, bytes(content), height))
+
+    def subject(self, request: Request) -> Response:
+        return Answer(subjects.describe(*self._subject(request)))
+
+    def mesh(self, request: Request) -> Response:
+        content = subjects.mesh(*self._subject(request))
+        return Response(content, headers=_BRIEFLY, media_type="model/gltf-binary")
+
+    def expressions(self, request: Request) -> Response:
+        return _array(subjects.expressions(*self._subject(request)))
+
+    def _subject(self, request: Request) -> tuple[Folder, Snapshot, str, str]:
+        subset = name(request.path_params["subset"], "subset")
+        subject = name(request.path_params["subject"], "subject")
+        return self.folder, self.library.snapshot(), subset, subject
 
     def _sample(self, request: Request) -> Sample:
         return Sample(self.folder, self._row(request))
@@ -69,6 +156,24 @@ class Server:
         subset = name(request.path_params["subset"], "subset")
         key = name(request.path_params["shot"], "key")
         return shots.row(self.library.snapshot(), subset, key)
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _array(array: np.ndarray) -> Response:
+    """An array as its bytes, little-endian, with its shape and type in the headers."""
+    array = np.ascontiguousarray(array, array.dtype.newbyteorder("<"))
+    headers = _BRIEFLY | {
+        "X-Shape": ",".join(map(str, array.shape)),
+        "X-Type": array.dtype.name,
+    }
+    return Response(array.tobytes(), headers=headers, media_type="application/octet-stream")
 
 
 def _broken_picture(reason: str, size: int) -> Response:
@@ -84,12 +189,17 @@ def _broken_picture(reason: str, size: int) -> Response:
 
 
 def _refused(request: Request, error: Exception) -> Response:
-    return JSONResponse({"error": str(error)}, error.status if isinstance(error, Refused) else 409)
+    return Answer({"error": str(error)}, error.status if isinstance(error, Refused) else 409)
+
+
+def _unknown(request: Request, error: Exception) -> Response:
+    status = getattr(error, "status_code", 404)
+    return Answer({"error": getattr(error, "detail", "no such address")}, status)
 
 
 def _broken(request: Request, error: Exception) -> Response:
     reason = {"X-Broken": plain_header(error)}
-    return JSONResponse({"error": f"broken: {error}"}, 422, headers=reason)
+    return Answer({"error": f"broken: {error}"}, 422, headers=reason)
 
 
 def create(library: Library, thumbnails: Thumbnails, token: str | None, port: int) -> Starlette:
@@ -104,12 +214,24 @@ def create(library: Library, thumbnails: Thumbnails, token: str | None, port: in
             get("/", server.page),
             get("/api/dataset", server.dataset),
             get("/api/shots", server.shots),
+            get("/api/counts", server.counts),
             get("/thumbnail/{subset}/{shot}", server.thumbnail),
+            get("/api/shot/{subset}/{shot}", server.shot),
+            get("/pass/{subset}/{shot}/{pass}", server.picture),
+            get("/values/{subset}/{shot}/{pass}", server.values),
+            get("/member/{subset}/{shot}/{name}", server.member),
+            get("/lightmaps/{environment}", server.lightmaps),
+            Route("/lightmaps", server.bake, methods=["POST"]),
+            get("/api/subject/{subset}/{subject}", server.subject),
+            get("/subject/{subset}/{subject}.glb", server.mesh),
+            get("/subject/{subset}/{subject}/expressions", server.expressions),
             Mount("/assets", StaticFiles(directory=str(_ASSETS))),
         ],
-        middleware=[
-            Middleware(Guard, token=token, port=port),
-            Middleware(GZipMiddleware, minimum_size=2000, compresslevel=3),
-        ],
-        exception_handlers={Refused: _refused, StorageError: _refused, Broken: _broken},
+        middleware=[Middleware(Guard, token=token, port=port)],
+        exception_handlers={
+            Refused: _refused,
+            StorageError: _refused,
+            Broken: _broken,
+            HTTPException: _unknown,
+        },
     )

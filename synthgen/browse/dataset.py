@@ -22,7 +22,6 @@ def describe(snapshot: Snapshot) -> dict[str, Any]:
     info = snapshot.info
     environments = info.get("environments")
     panoramas = [e for e in environments or [] if isinstance(e, dict) and "id" in e]
-    names = dict(enumerate(PARTS)) | {255: "ignore"}
     return {
         "name": str(info.get("name", "")),
         "format": info.get("format"),
@@ -39,7 +38,8 @@ def describe(snapshot: Snapshot) -> dict[str, Any]:
             {k: str(e.get(k, "")) for k in ("id", "kind", "source", "author", "licence")}
             for e in panoramas
         ],
-        "part_names": names,
-        "part_colours": {i: [int(v) for v in PALETTE[i]] for i in names},
+        "part_names": [
+            {"id": i, "name": part, "colour": PALETTE[i].tolist()} for i, part in enumerate(PARTS)
+        ],
         "expression_names": list(ARKIT_NAMES),
     }

@@ -18,7 +18,7 @@ NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,127}")
 
 
 class Refused(Exception):
-    """A request that is not answered: `status` is the HTTP status, `str()` one line for the user."""
+    """A request that is not answered: `status` is HTTP's, `str()` one line for the user."""
 
     def __init__(self, reason: str, status: int = 404) -> None:
         self.status = status

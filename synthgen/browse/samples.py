@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tarfile
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from synthgen.shards import BLOCK
 
 _MEMBERS = 4096
 _LARGEST = 1 << 30
+_PIECE = 1 << 20
 
 
 class Broken(Exception):
@@ -40,16 +42,34 @@ class Sample:
             self.path = folder.file(shard)
         except Refused as refusal:
             raise Broken(f"shard {refusal}") from None
-        self.members = {m.name: m for m in _entries(self.path, offset, size, str(row["key"]))}
+        self.key = str(row["key"])
+        self.offset = offset
+        self.members = {m.name: m for m in _entries(self.path, offset, size, self.key)}
+
+    def place(self) -> tuple[str, int, int, int]:
+        """What tells these bytes from any others: path, time of change, size, offset."""
+        seen = self.path.stat()
+        return str(self.path), seen.st_mtime_ns, seen.st_size, self.offset
+
+    def member(self, name: str) -> Member:
+        """A member by name; raises `Refused` if the sample has none of that name."""
+        found = self.members.get(name)
+        if found is None:
+            raise Refused(f"this shot has no {name[:80]}; it has {', '.join(self.members)}")
+        return found
 
     def read(self, name: str) -> bytes:
-        """The content of a member; raises `Refused` if the sample has none of that name."""
-        member = self.members.get(name)
-        if member is None:
-            raise Refused(f"this shot has no member {name}; it has {', '.join(self.members)}")
+        """The content of a member; raises as `member`."""
+        return b"".join(self.stream(self.member(name)))
+
+    def stream(self, member: Member) -> Iterator[bytes]:
+        """The content of a member in pieces."""
+        left = member.size
         with self.path.open("rb") as file:
             file.seek(member.offset)
-            return file.read(member.size)
+            while left > 0 and (piece := file.read(min(left, _PIECE))):
+                yield piece
+                left -= len(piece)
 
 
 def _entries(path: Path, offset: int, size: int, key: str) -> list[Member]:

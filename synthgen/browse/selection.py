@@ -104,7 +104,9 @@ def _facet(name: str, chosen: list[Any]) -> tuple[str, list[Any]]:
         terms.append(f"list_has_any({quoted(name)}, [{marks}])")
     elif values:
         terms.append(f"{quoted(name)} IN ({marks})")
-    return f"({' OR '.join(terms) or 'true'})", [str(v) if isinstance(v, str) else v for v in values]
+    return f"({' OR '.join(terms) or 'true'})", [
+        str(v) if isinstance(v, str) else v for v in values
+    ]
 
 
 class _Element(str):

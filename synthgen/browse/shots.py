@@ -30,7 +30,9 @@ def page(snapshot: Snapshot, selection: Selection, offset: int, limit: int) -> l
         order = selection.order()
         order = f"{order}, rowid" if order else "ORDER BY rowid"
         # Of the rows that are not shown, only what is asked about is read.
-        inner = f"SELECT rowid FROM manifest WHERE {condition} {order} LIMIT {limit} OFFSET {offset}"
+        inner = (
+            f"SELECT rowid FROM manifest WHERE {condition} {order} LIMIT {limit} OFFSET {offset}"
+        )
         rows = snapshot.sandbox.ask(
             f"SELECT {columns} FROM manifest WHERE rowid IN ({inner}) {order}", values
         )

@@ -189,7 +189,9 @@ def _failures(folder: Folder, info: dict[str, Any], sandbox: Sandbox) -> int:
             if NAME.fullmatch(str(key)) and attempts >= ledger.ATTEMPTS:
                 rows.append({"key": key, "subject": key, "subset": subset, "reason": str(reason)})
     described = dict.fromkeys(("key", "subject", "subset", "reason"), "VARCHAR")
-    _fill(sandbox, "failures", described | {"failed": "BOOLEAN"}, [r | {"failed": True} for r in rows])
+    _fill(
+        sandbox, "failures", described | {"failed": "BOOLEAN"}, [r | {"failed": True} for r in rows]
+    )
     return len(rows)
 
 
@@ -201,9 +203,12 @@ def _fill(
     run = sandbox.connection.execute
     run(f"CREATE TABLE {table} ({described})")
     if rows:
-        shape = "{" + ", ".join(f"{json.dumps(n)}: {json.dumps(k)}" for n, k in columns.items()) + "}"
+        shape = (
+            "{" + ", ".join(f"{json.dumps(n)}: {json.dumps(k)}" for n, k in columns.items()) + "}"
+        )
         run(
-            f"INSERT INTO {table} SELECT unnest(from_json(line, ?)) FROM (SELECT unnest(?) AS line)",
+            f"INSERT INTO {table} SELECT unnest(from_json(line, ?)) "
+            "FROM (SELECT unnest(?) AS line)",
             [shape, [json.dumps(r) for r in rows]],
         )
 

@@ -43,9 +43,8 @@ class Thumbnails:
         """
         width = next((s for s in SIZES if s >= size), SIZES[-1])
         name = f"rgb_{environment:02d}.png"
-        member = sample.members.get(name)
-        seen = sample.path.stat()
-        place = (sample.path, seen.st_mtime_ns, seen.st_size, member, width)
+        sample.member(name)
+        place = (*sample.place(), name, width)
         digest = hashlib.sha256(repr(place).encode()).hexdigest()
         kept = self.folder / digest[:2] / f"{digest}.jpg"
         with contextlib.suppress(OSError):

@@ -1,0 +1,135 @@
+"""Shots decoded to arrays, for the page of one shot; the last few stay in memory."""
+
+from __future__ import annotations
+
+import struct
+import threading
+from collections import OrderedDict
+from typing import Any
+
+import numpy as np
+
+from synthgen.browse.folder import Refused
+from synthgen.browse.samples import Broken, Sample
+from synthgen.codecs import decode_exr
+from synthgen.display import srgb_decode
+from synthgen.passes import passes
+from synthgen.shards import decode, decode_fields
+from synthgen.shot import Shot
+
+PASSES = ("albedo", "normal", "depth", "uv", "canonical", "parts", "alpha", "landmarks")
+"""What `pictures` draws beside the image itself."""
+VALUES = ("image", "linear", "albedo", "normal", "depth", "uv", "canonical", "parts", "alpha")
+"""What `values` gives the numbers of."""
+_KEPT = 4
+_LARGEST = 8192  # pixels on a side; more is not decoded
+
+
+class Decoder:
+    """Decodes whole samples, one at a time, and remembers the last ones with their pictures."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._shots: OrderedDict[tuple[Any, ...], tuple[Shot, dict[str, np.ndarray]]] = (
+            OrderedDict()
+        )
+
+    def shot(self, sample: Sample) -> Shot:
+        """The sample's shot, without its linear pictures. Raises `Broken` if it does not decode."""
+        return self._get(sample)[0]
+
+    def picture(self, sample: Sample, name: str, environment: int) -> np.ndarray:
+        """A pass as (H, W, 3 | 4) uint8: `image`, or one of `PASSES` as `synthgen show` draws it.
+
+        Raises `Refused` for an unknown pass or environment, `Broken` if the sample is damaged.
+        """
+        shot, drawn = self._get(sample)
+        if name == "image":
+            return shot.rgb[_environment(shot, environment)]
+        if name not in PASSES:
+            raise Refused(f"no pass {name[:40]}; there are image, {', '.join(PASSES)}")
+        with self._lock:
+            if not drawn:
+                drawn.update(passes(shot))
+        return drawn[name]
+
+    def values(self, sample: Sample, name: str, environment: int) -> np.ndarray:
+        """The numbers of a pass, float32 or uint8, (H, W) or (H, W, C).
+
+        `image` as stored, `linear` RGBA light before exposure (where the dataset has it), `albedo`
+        linear, `normal` in camera space, `depth` metres, `uv`, `canonical` metres in the world
+        frame, `parts` ids, `alpha` 0 to 255. Raises as `picture`.
+        """
+        shot = self.shot(sample)
+        if name not in VALUES:
+            raise Refused(f"no values {name[:40]}; there are {', '.join(VALUES)}")
+        if name == "image":
+            return shot.rgb[_environment(shot, environment)]
+        if name == "linear":
+            member = f"hdr_{_environment(shot, environment):02d}.exr"
+            planes = decode_exr(_bounded(member, sample.read(member)))
+            return np.stack([planes[c] for c in "RGBA"], -1).astype(np.float32)
+        if name == "albedo":
+            return srgb_decode(shot.albedo.astype(np.float32) / np.float32(255))
+        array = getattr(shot, name)
+        return array if array.dtype == np.uint8 else array.astype(np.float32)
+
+    def _get(self, sample: Sample) -> tuple[Shot, dict[str, np.ndarray]]:
+        place = sample.place()
+        with self._lock:
+            if place not in self._shots:
+                self._shots[place] = (_decode(sample), {})
+            self._shots.move_to_end(place)
+            while len(self._shots) > _KEPT:
+                self._shots.popitem(last=False)
+            return self._shots[place]
+
+
+def metadata(sample: Sample) -> dict[str, Any]:
+    """A sample's meta.json alone, `person` parsed. Raises `Broken` if it does not decode."""
+    try:
+        return decode_fields({"meta.json": sample.read("meta.json")})["meta"]
+    except (ValueError, Refused) as error:
+        raise Broken(_first_line(error)) from None
+
+
+def _decode(sample: Sample) -> Shot:
+    wanted = [name for name in sample.members if not name.startswith("hdr_")]
+    try:
+        content = {name: _bounded(name, sample.read(name)) for name in wanted}
+        shot = decode(sample.key, content)
+    except KeyError as error:
+        raise Broken(f"{error.args[0]} is missing") from None
+    except (ValueError, MemoryError) as error:
+        raise Broken(_first_line(error)) from None
+    size = shot.depth.shape[:2]
+    for name in ("albedo", "normal", "uv", "canonical", "alpha", "parts"):
+        if getattr(shot, name).shape[:2] != size:
+            raise Broken(f"{name} has another size than depth")
+    return shot
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error).splitlines() or [type(error).__name__])[0][:200]
+
+
+def _bounded(name: str, data: bytes) -> bytes:
+    """The data, unless it says that it holds a picture too large for any dataset."""
+    width = height = 0
+    if name.endswith(".png") and len(data) > 24:
+        width, height = struct.unpack(">II", data[16:24])
+    elif name.endswith(".exr"):
+        mark = b"dataWindow\0box2i\0\x10\0\0\0"
+        at = data.find(mark, 0, 1 << 16)
+        if at >= 0 and len(data) >= at + len(mark) + 16:
+            left, top, right, bottom = struct.unpack_from("<4i", data, at + len(mark))
+            width, height = right - left + 1, bottom - top + 1
+    if max(width, height) > _LARGEST:
+        raise Broken(f"{name} says it is {width} x {height} pixels; at most {_LARGEST} are decoded")
+    return data
+
+
+def _environment(shot: Shot, environment: int) -> int:
+    if not 0 <= environment < len(shot.rgb):
+        raise Refused(f"no environment {environment}: this shot has {len(shot.rgb)}, from 0 on")
+    return environment
