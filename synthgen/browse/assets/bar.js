@@ -32,7 +32,7 @@ export class Bar {
       "select",
       { "aria-label": "Sort by", onchange: () => this.address.select({ sort: this.sort.value }) },
       h("option", { value: "", text: "as stored" }),
-      ...dataset.columns.map(({ name, label }) => h("option", { value: name, text: label || name })),
+      ...this.orders(dataset.columns),
     );
     this.direction = button("↑", () => {
       this.address.select({ descending: !this.address.selection.descending });
@@ -49,6 +49,16 @@ export class Bar {
     );
     this.where.value = selection.where;
     this.show();
+  }
+
+  /** Columns to sort by, under their groups: labels alone are not unique. */
+  orders(columns) {
+    const groups = new Map();
+    for (const column of columns.filter(({ listed }) => !listed)) {
+      if (!groups.has(column.group)) groups.set(column.group, h("optgroup", { label: column.group }));
+      groups.get(column.group).append(h("option", { value: column.name, text: column.label || column.name }));
+    }
+    return groups.values();
   }
 
   /** Shows the selection: field, order and a chip per filter. */
@@ -83,7 +93,8 @@ export class Bar {
   }
 
   label(name) {
-    return this.columns.get(name)?.label || name;
+    const { label, group } = this.columns.get(name) ?? { label: name };
+    return group === "dataset" || !group ? label : `${group} ${label}`;
   }
 
   count(total, of) {

@@ -26,8 +26,10 @@ export class Facets {
       grouped.get(column.group).push(column);
     }
     const { facets, ranges } = this.address.selection;
+    const last = (name) => Number(name === "other" || name === "cost" || name === "quality");
+    const ordered = [...grouped].sort(([a], [b]) => last(a) - last(b));
     this.parts.clear();
-    this.groups = [...grouped].map(([name, members], i) => {
+    this.groups = ordered.map(([name, members], i) => {
       const parts = members.map((column) => this.part(column));
       const chosen = members.some((c) => c.name in facets || c.name in ranges);
       const details = h(

@@ -33,12 +33,14 @@ export class Grid {
     })) element.setAttribute(name, value);
     element.addEventListener("scroll", () => this.scrolled(), { passive: true });
     element.addEventListener("keydown", (event) => this.key(event));
-    new ResizeObserver(() => this.resized()).observe(element);
-    this.reset();
+    this.forget();
+    this.measure();
   }
 
   /** Forgets all rows and starts at the top, with another selection. */
   reset() {
+    this.watch ??= new ResizeObserver(() => this.resized());
+    this.watch.observe(this.element);
     this.forget();
     this.total = null;
     this.top = 0;
@@ -320,9 +322,8 @@ class Cell {
     if (reason) return this.broken(reason);
     this.request = new AbortController();
     const pixels = Math.ceil(grid.cell * Math.min(devicePixelRatio || 1, 2));
-    const size = [128, 160, 256, 384].find((s) => s >= pixels * 0.9) ?? 384;
     const address = path("thumbnail", row.subset, row.key)
-      + query({ environment: grid.calls.environment(row), size, revision: grid.calls.revision() });
+      + query({ environment: grid.calls.environment(row), size: Math.min(480, pixels), revision: grid.calls.revision() });
     try {
       const response = await ask(address, { signal: this.request.signal });
       const why = response.headers.get("X-Broken");

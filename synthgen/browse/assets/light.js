@@ -18,7 +18,7 @@ export class LightPanel {
   constructor(shot, pictures, catalogue, environment) {
     this.shot = shot;
     this.pictures = pictures;
-    this.settings = { angle: 0, exposure: 1, ...structuredClone(START), backdrop: true };
+    this.settings = { angle: 0, exposure: 1, ...structuredClone(START), filtered: true, backdrop: false };
     this.own = null;
     this.canvas = h("canvas", {
       class: "light", tabindex: "0", role: "img",
@@ -83,16 +83,18 @@ export class LightPanel {
       min: 0, max: 0.5, step: 0.005, value: START.specular[i], write: (v) => v.toFixed(3),
       oninput: (value) => { this.settings.specular[i] = value; this.draw(); },
     }));
-    const backdrop = h("input", {
-      type: "checkbox", checked: true,
-      onchange: (event) => { this.settings.backdrop = event.target.checked; this.draw(); },
-    });
+    const check = (label, name, title) => h("label", { class: "check", title },
+      h("input", {
+        type: "checkbox", checked: this.settings[name],
+        onchange: (event) => { this.settings[name] = event.target.checked; this.draw(); },
+      }), h("span", { text: label }));
     return h(
       "div", { class: "controls" },
       h(
         "div", { class: "row" }, this.select,
         button("Open .exr or .hdr…", () => this.file.click()), this.file,
-        h("label", { class: "check" }, backdrop, h("span", { text: "Backdrop" })),
+        check("Pixel filter", "filtered", "Labels are one sample a pixel; a camera's picture is not"),
+        check("Blurred backdrop", "backdrop", "What is behind, as the sharpest lightmap has it"),
         button("Reset", () => this.reset()),
       ),
       this.angle.element, this.exposure.element, this.diffuse.element,
@@ -115,7 +117,7 @@ export class LightPanel {
   }
 
   place() {
-    const { subset, key } = this.shot.meta;
+    const { subset, key } = this.shot;
     return { subset, shot: key };
   }
 
@@ -125,7 +127,7 @@ export class LightPanel {
     this.select.value = `shot:${e}`;
     this.rendered.src = this.pictures(e);
     this.rotation = use.rotation;
-    this.factor = this.shot.meta.exposures[e];
+    this.factor = use.factor;
     await this.load(use.id);
     this.reset();
   }
@@ -208,7 +210,7 @@ export class LightPanel {
     const x = Math.floor(((event.clientX - box.left) / box.width) * this.canvas.width);
     const y = Math.floor(((event.clientY - box.top) / box.height) * this.canvas.height);
     if (x < 0 || y < 0 || x >= this.canvas.width || y >= this.canvas.height) return;
-    const found = this.shading?.read(this.settings, x, y);
+    const found = this.shading?.read(x, y);
     this.reading.textContent = found ? `linear ${found.map((v) => v.toFixed(3)).join(" ")}` : "";
   }
 

@@ -20,7 +20,7 @@ export class Overlay {
 
   /** The posed skin, fetched once: {points (N, 3), indices}. Throws with one line without it. */
   async skin() {
-    const { subset, key, subject } = this.shot.meta;
+    const { subset, key, subject } = this.shot;
     this.loaded ??= Promise.all([
       ask(path("member", subset, key, "geometry.npz")).then((answer) => answer.arrayBuffer()),
       ask(path("subject", subset, `${subject}.glb`)).then((answer) => answer.arrayBuffer()),
@@ -89,7 +89,7 @@ export class Overlay {
       context.lineTo(flat[c], flat[c + 1]);
     }
     context.lineWidth = 0.5 * line;
-    context.strokeStyle = "rgba(120, 215, 255, 0.6)";
+    context.strokeStyle = "rgba(120, 215, 255, 0.45)";
     context.stroke();
   }
 }

@@ -17,8 +17,7 @@ export class Player {
     const { subset, id, options } = this.address.view;
     const subject = await askJson(path("api", "subject", subset, id));
     this.subset = subset;
-    this.shots = subject.shots.map((shot) => (typeof shot === "string" ? shot : shot.key))
-      .map((key) => key.split("/").pop());
+    this.shots = subject.shots;
     if (!this.shots.length) throw new Error(`${subset}/${id} has no shots.`);
     const first = await askJson(path("api", "shot", subset, this.shots[0]));
     this.environments = first.environments;

@@ -39,7 +39,7 @@ export class Scene {
     this.place = (name) => gl.getUniformLocation(this.program, name);
     this.things = [];
     this.target = [0, 0, 0];
-    Object.assign(this, { yaw: 0.4, pitch: 0.1, distance: 1 });
+    Object.assign(this, { yaw: 0.9, pitch: 0.25, distance: 1 });
     canvas.addEventListener("pointerdown", (event) => {
       canvas.setPointerCapture(event.pointerId);
       this.held = true;

@@ -1,11 +1,14 @@
-// Shading of albedo and normals with lightmaps, in WebGL2.
+// Shading of albedo and normals with lightmaps, in WebGL2, in two passes.
 //
 //     c = D(k_d a s_d(n) + sum_e k_s(e) s_s(e, r)),   r = 2 (n.v) n - v
 //
-// The numbers are those of totalediting: look-ups as `lightmaps.sample` makes them (bilinear between
-// texel centres, columns wrap, beyond a pole lies the pole's row turned by half a circle), composed
-// as `phong.compose` and shown as `phong.display`. Lightmaps are in their environment's own frame,
-// normals in the camera's; the shader turns directions by Rz(-angle) camera_to_world.
+// First the linear light of every pixel, into a float picture; then, as wanted, the pixel filter,
+// and D. The numbers are those of totalediting: look-ups as `lightmaps.sample` makes them (bilinear
+// between texel centres, columns wrap, beyond a pole lies the pole's row turned by half a circle),
+// composed as `phong.compose` and shown as `phong.display`. Lightmaps are in their environment's own
+// frame, normals in the camera's; the shader turns directions by Rz(-angle) camera_to_world.
+
+import { surface } from "./surface.js";
 
 export const SHININESS = [1, 16, 32, 64];
 
@@ -15,7 +18,7 @@ void main() {
   gl_Position = vec4(2.0 * corner - 1.0, 0.0, 1.0);
 }`;
 
-const FRAGMENT = `#version 300 es
+const LIGHT = `#version 300 es
 precision highp float;
 precision highp int;
 precision highp sampler2D;
@@ -29,8 +32,6 @@ uniform mat3 turn;             // camera space to the lightmaps' frame
 uniform float exposure;        // linear factor
 uniform float diffuse;
 uniform vec4 specular;
-uniform bool backdrop;
-uniform bool linear;           // without the display transform, to be read back
 out vec4 colour;
 
 const float PI = 3.14159265358979;
@@ -57,6 +58,34 @@ vec3 light(vec3 d, int layer) {
   return mix(upper, lower, part.y);
 }
 
+void main() {
+  ivec2 pixel = ivec2(gl_FragCoord.xy);
+  vec2 centre = gl_FragCoord.xy;
+  vec3 v = normalize(vec3(-(centre.x - lens.z) / lens.x, (centre.y - lens.w) / lens.y, 1.0));
+  vec3 n = texelFetch(normal, pixel, 0).xyz;
+  if (dot(n, n) < 1e-6) {
+    colour = vec4(exposure * light(turn * -v, 4), 0.0); // what is behind, as blurred as that lobe
+    return;
+  }
+  vec3 r = 2.0 * dot(n, v) / dot(n, n) * n - v;
+  vec3 back = turn * r;
+  vec3 shaded = diffuse * texelFetch(albedo, pixel, 0).rgb * light(turn * n, 0);
+  for (int i = 0; i < 4; i++) shaded += specular[i] * light(back, i + 1);
+  colour = vec4(exposure * shaded, 1.0);
+}`;
+
+// Row 0 of all pictures is the upper one; the canvas counts from below.
+const SHOW = `#version 300 es
+precision highp float;
+precision highp int;
+precision highp sampler2D;
+
+uniform sampler2D linear;      // light; whether there is a surface in w
+uniform sampler2D albedo;      // alpha in w
+uniform bool filtered;
+uniform bool backdrop;
+out vec4 colour;
+
 vec3 display(vec3 x) {
   x = clamp(x, 0.0, 8.0);
   vec3 bent = 0.8 + log(1.0 + 26.23164050992174 * (max(x, 0.8) - 0.8)) / 26.23164050992174;
@@ -66,45 +95,44 @@ vec3 display(vec3 x) {
 }
 
 void main() {
-  ivec2 size = textureSize(albedo, 0);
-  ivec2 pixel = ivec2(gl_FragCoord.x, float(size.y) - gl_FragCoord.y);
-  vec2 centre = vec2(pixel) + 0.5;
-  vec4 base = texelFetch(albedo, pixel, 0);
-  vec3 n = texelFetch(normal, pixel, 0).xyz;
-  vec3 v = normalize(vec3(-(centre.x - lens.z) / lens.x, (centre.y - lens.w) / lens.y, 1.0));
-  vec3 r = 2.0 * dot(n, v) / max(dot(n, n), 1e-12) * n - v;
-  vec3 up = turn * n, back = turn * r;
-  vec3 shaded = diffuse * base.rgb * light(up, 0);
-  for (int i = 0; i < 4; i++) shaded += specular[i] * light(back, i + 1);
-  shaded *= exposure;
-  if (linear) { colour = vec4(shaded, base.a); return; }
-  // Where no surface was seen, fine hair or an edge, there is no normal to shade with.
-  float there = dot(n, n) > 0.25 ? base.a : 0.0;
-  vec3 behind = backdrop ? display(exposure * light(turn * -v, 4)) : vec3(0.0);
-  float cover = backdrop ? 1.0 : there;
-  colour = vec4(mix(behind, display(shaded), there), cover);
+  ivec2 size = textureSize(linear, 0);
+  ivec2 pixel = ivec2(int(gl_FragCoord.x), size.y - 1 - int(gl_FragCoord.y));
+  vec4 here = texelFetch(linear, pixel, 0);
+  vec4 sum = vec4(0.0);
+  for (int y = -1; y <= 1; y++) for (int x = -1; x <= 1; x++) {
+    ivec2 at = pixel + ivec2(x, y);
+    if (any(lessThan(at, ivec2(0))) || any(greaterThanEqual(at, size))) continue;
+    vec4 light = texelFetch(linear, at, 0);
+    float weight = float((2 - abs(x)) * (2 - abs(y))) * light.w;
+    sum += vec4(light.rgb * weight, weight);
+  }
+  vec3 shaded = filtered && sum.w > 0.0 ? sum.rgb / sum.w : here.rgb;
+  float there = here.w * texelFetch(albedo, pixel, 0).a;
+  vec3 behind = here.w > 0.0 ? vec3(0.0) : display(here.rgb);
+  colour = backdrop && here.w == 0.0 ? vec4(behind, 1.0) : vec4(display(shaded), there);
 }`;
 
 /** A failure of WebGL, as one line for people. */
 export class ShadingError extends Error {}
 
 export class Shading {
-  /** Raises `ShadingError` where WebGL2 cannot be had. */
+  /** Raises `ShadingError` where WebGL2 with float pictures cannot be had. */
   constructor(canvas) {
     this.canvas = canvas;
     const gl = canvas.getContext("webgl2", {
       alpha: true, premultipliedAlpha: false, antialias: false, depth: false,
       preserveDrawingBuffer: true,
     });
-    if (!gl) throw new ShadingError("This browser offers no WebGL2, which the light needs.");
-    this.gl = gl;
-    this.program = link(gl, VERTEX, FRAGMENT);
-    this.places = {};
-    for (let i = gl.getProgramParameter(this.program, gl.ACTIVE_UNIFORMS) - 1; i >= 0; i--) {
-      const { name } = gl.getActiveUniform(this.program, i);
-      this.places[name] = gl.getUniformLocation(this.program, name);
+    if (!gl?.getExtension("EXT_color_buffer_float")) {
+      throw new ShadingError("This browser offers no WebGL2 with float pictures; light needs them.");
     }
-    this.textures = [gl.createTexture(), gl.createTexture(), gl.createTexture()];
+    this.gl = gl;
+    this.light = new Program(gl, LIGHT);
+    this.show = new Program(gl, SHOW);
+    this.textures = Object.fromEntries(
+      ["albedo", "normal", "maps", "linear"].map((name) => [name, gl.createTexture()]),
+    );
+    this.target = gl.createFramebuffer();
     this.ready = { shot: false, maps: false };
   }
 
@@ -112,45 +140,34 @@ export class Shading {
    * What is shaded. Arrays are {data, shape, type} of one height and width.
    *
    * @param albedo (H, W, 3) float32, linear  @param normal (H, W, 3) float32, camera space
-   * @param alpha (H, W) uint8 or float32 in [0, 1]
+   * @param alpha (H, W) uint8, or float32 in [0, 1]
    * @param camera meta.json's: `intrinsics` 3×3 in pixels, `camera_to_world` 4×4
    */
   setShot(albedo, normal, alpha, camera) {
+    const { gl, canvas } = this;
     const [height, width] = albedo.shape;
-    const count = height * width;
-    const base = new Float32Array(4 * count);
-    const directions = new Float32Array(4 * count);
-    const scale = alpha.type === "uint8" ? 1 / 255 : 1;
-    for (let i = 0; i < count; i++) {
-      for (let c = 0; c < 3; c++) {
-        base[4 * i + c] = albedo.data[3 * i + c];
-        directions[4 * i + c] = normal.data[3 * i + c];
-      }
-      base[4 * i + 3] = alpha.data[i] * scale;
+    Object.assign(canvas, { width, height });
+    const { base, directions } = surface(albedo, normal, alpha);
+    for (const [name, data] of [["albedo", base], ["normal", directions], ["linear", null]]) {
+      gl.bindTexture(gl.TEXTURE_2D, this.textures[name]);
+      gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA32F, width, height, 0, gl.RGBA, gl.FLOAT, data);
+      nearest(gl, gl.TEXTURE_2D);
     }
-    this.canvas.width = width;
-    this.canvas.height = height;
-    this.put(0, width, height, base);
-    this.put(1, width, height, directions);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, this.target);
+    gl.framebufferTexture2D(
+      gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, this.textures.linear, 0,
+    );
     const [[fx, , cx], [, fy, cy]] = camera.intrinsics;
     this.lens = [fx, fy, cx, cy];
     this.axes = camera.camera_to_world;
     this.ready.shot = true;
   }
 
-  put(unit, width, height, data) {
-    const { gl } = this;
-    gl.activeTexture(gl.TEXTURE0 + unit);
-    gl.bindTexture(gl.TEXTURE_2D, this.textures[unit]);
-    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA32F, width, height, 0, gl.RGBA, gl.FLOAT, data);
-    nearest(gl, gl.TEXTURE_2D);
-  }
-
   /** Lightmaps (5, 3, H, 2H) float32, in their environment's own frame. */
   setLightmaps({ data, shape }) {
     const [layers, , height, width] = shape;
-    const texels = new Float32Array(4 * layers * height * width);
     const plane = height * width;
+    const texels = new Float32Array(4 * layers * plane);
     for (let layer = 0; layer < layers; layer++) {
       for (let c = 0; c < 3; c++) {
         const from = (3 * layer + c) * plane;
@@ -158,8 +175,7 @@ export class Shading {
       }
     }
     const { gl } = this;
-    gl.activeTexture(gl.TEXTURE2);
-    gl.bindTexture(gl.TEXTURE_2D_ARRAY, this.textures[2]);
+    gl.bindTexture(gl.TEXTURE_2D_ARRAY, this.textures.maps);
     gl.texImage3D(
       gl.TEXTURE_2D_ARRAY, 0, gl.RGBA32F, width, height, layers, 0, gl.RGBA, gl.FLOAT, texels,
     );
@@ -171,48 +187,70 @@ export class Shading {
    * Draws the shot.
    *
    * @param settings `angle` of the environment about +Z in radians, `exposure` linear factor,
-   *   `diffuse` k_d, `specular` k_s of SHININESS, `backdrop` whether the environment lies behind
+   *   `diffuse` k_d, `specular` k_s of SHININESS, `filtered` whether pixels take the mean around
+   *   them as a camera's do, `backdrop` whether the environment lies behind
    */
-  draw(settings, linear = false) {
+  draw(settings) {
     if (!this.ready.shot || !this.ready.maps) return;
-    const { gl, places } = this;
-    gl.viewport(0, 0, this.canvas.width, this.canvas.height);
-    gl.useProgram(this.program);
-    gl.uniform1i(places.albedo, 0);
-    gl.uniform1i(places.normal, 1);
-    gl.uniform1i(places.maps, 2);
-    gl.uniform4f(places.lens, ...this.lens);
-    gl.uniformMatrix3fv(places.turn, false, columns(this.axes, settings.angle));
-    gl.uniform1f(places.exposure, settings.exposure);
-    gl.uniform1f(places.diffuse, settings.diffuse);
-    gl.uniform4f(places.specular, ...settings.specular);
-    gl.uniform1i(places.backdrop, Number(settings.backdrop));
-    gl.uniform1i(places.linear, Number(linear));
+    const { gl, light, show, textures, canvas } = this;
+    gl.viewport(0, 0, canvas.width, canvas.height);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, this.target);
+    light.use({ albedo: textures.albedo, normal: textures.normal }, { maps: textures.maps });
+    gl.uniform4f(light.places.lens, ...this.lens);
+    gl.uniformMatrix3fv(light.places.turn, false, columns(this.axes, settings.angle));
+    gl.uniform1f(light.places.exposure, settings.exposure);
+    gl.uniform1f(light.places.diffuse, settings.diffuse);
+    gl.uniform4f(light.places.specular, ...settings.specular);
+    gl.drawArrays(gl.TRIANGLES, 0, 3);
+
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    show.use({ linear: textures.linear, albedo: textures.albedo });
+    gl.uniform1i(show.places.filtered, Number(settings.filtered));
+    gl.uniform1i(show.places.backdrop, Number(settings.backdrop));
     gl.drawArrays(gl.TRIANGLES, 0, 3);
   }
 
-  /** Linear light at a pixel, [r, g, b]; null where float pictures cannot be drawn into. */
-  read(settings, x, y) {
+  /** Linear light at a pixel as it was last drawn, [r, g, b]; null where there is no surface. */
+  read(x, y) {
     const { gl } = this;
-    if (!this.ready.shot || !this.ready.maps || !gl.getExtension("EXT_color_buffer_float")) return null;
-    const { width, height } = this.canvas;
-    this.target ??= { buffer: gl.createFramebuffer(), picture: gl.createRenderbuffer() };
-    gl.bindFramebuffer(gl.FRAMEBUFFER, this.target.buffer);
-    gl.bindRenderbuffer(gl.RENDERBUFFER, this.target.picture);
-    gl.renderbufferStorage(gl.RENDERBUFFER, gl.RGBA32F, width, height);
-    gl.framebufferRenderbuffer(
-      gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.RENDERBUFFER, this.target.picture,
-    );
+    if (!this.ready.shot || !this.ready.maps) return null;
     const found = new Float32Array(4);
-    this.draw(settings, true);
-    gl.readPixels(x, height - 1 - y, 1, 1, gl.RGBA, gl.FLOAT, found);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, this.target);
+    gl.readPixels(x, y, 1, 1, gl.RGBA, gl.FLOAT, found);
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
-    return [...found.slice(0, 3)];
+    return found[3] ? [...found.subarray(0, 3)] : null;
   }
 
   /** Frees the graphics card's memory at once. */
   close() {
-    this.gl.getExtension("WEBGL_lose_context")?.loseContext();
+    this.gl?.getExtension("WEBGL_lose_context")?.loseContext();
+  }
+}
+
+/** A fragment shader that covers the picture, with its uniforms' places. */
+class Program {
+  constructor(gl, fragment) {
+    this.gl = gl;
+    this.program = link(gl, VERTEX, fragment);
+    this.places = {};
+    for (let i = gl.getProgramParameter(this.program, gl.ACTIVE_UNIFORMS) - 1; i >= 0; i--) {
+      const { name } = gl.getActiveUniform(this.program, i);
+      this.places[name] = gl.getUniformLocation(this.program, name);
+    }
+  }
+
+  /** Takes the program and binds pictures and stacks of pictures by their uniforms' names. */
+  use(pictures, stacks = {}) {
+    const { gl } = this;
+    gl.useProgram(this.program);
+    const all = [[gl.TEXTURE_2D, pictures], [gl.TEXTURE_2D_ARRAY, stacks]]
+      .flatMap(([target, named]) => Object.entries(named).map((entry) => [target, ...entry]));
+    all.forEach(([target, name, texture], unit) => {
+      gl.activeTexture(gl.TEXTURE0 + unit);
+      gl.bindTexture(target, texture);
+      gl.uniform1i(this.places[name], unit);
+    });
+    gl.activeTexture(gl.TEXTURE0 + all.length);
   }
 }
 

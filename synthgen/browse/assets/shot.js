@@ -29,7 +29,7 @@ export class ShotView {
     if (this.closed) return;
     this.shot = shot;
     this.at = options.at === undefined ? null : Number(options.at);
-    this.head = this.header(subset, id);
+    this.head = this.header(subset, id, shot.subject);
     if (shot.broken) return this.broken(shot.broken);
     this.environment = Math.min(Number(options.environment) || 0, shot.environments.length - 1);
     this.passes = ["image", ...shot.passes.filter((p) => p in NAMES && p !== "image")];
@@ -51,8 +51,7 @@ export class ShotView {
     this.stage.show(this.pass, this.environment);
   }
 
-  header(subset, id) {
-    const subject = id.split("_")[0];
+  header(subset, id, subject) {
     this.previous = button("←", () => this.step(-1), { label: "Previous shot of the selection" });
     this.next = button("→", () => this.step(1), { label: "Next shot of the selection" });
     this.previous.disabled = this.next.disabled = this.at === null;
@@ -108,9 +107,9 @@ export class ShotView {
   }
 
   siblings() {
-    const list = this.shot.siblings.map((key) => {
-      const [subset, id] = key.includes("/") ? key.split("/") : [this.shot.meta.subset, key];
-      const current = id === this.shot.meta.key;
+    const { subset, subject } = this.shot;
+    const list = this.shot.siblings.map((id) => {
+      const current = id === this.shot.key;
       return h("li", {}, h("a", {
         href: this.address.href("shot", subset, id), text: id.split("_").pop(), title: id,
         "aria-current": current ? "true" : null,
@@ -123,7 +122,7 @@ export class ShotView {
       }));
     });
     return h("section", { class: "panel", "aria-label": "Shots of this subject" },
-      h("h2", { text: `Shots of ${this.shot.meta.subject}` }), h("ul", { class: "keys" }, ...list));
+      h("h2", { text: `Shots of ${subject}` }), h("ul", { class: "keys" }, ...list));
   }
 
   reproduce() {

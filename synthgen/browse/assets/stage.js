@@ -3,20 +3,22 @@
 import { askArray, path, query } from "./api.js";
 import { h } from "./dom.js";
 
+const LIT = ["image", "linear"]; // what differs by environment
 const AXES = {
-  rgb: ["R", "G", "B"], albedo: ["R", "G", "B"], normal: ["x", "y", "z"],
+  image: ["R", "G", "B", "A"], linear: ["R", "G", "B", "A"], albedo: ["R", "G", "B"], normal: ["x", "y", "z"],
   uv: ["u", "v"], canonical: ["x", "y", "z"],
 };
 const UNITS = { depth: " m", canonical: " m" };
 
 export class Stage {
   /**
-   * @param shot the server's answer about a shot  @param names of parts by id
+   * @param shot the server's answer about a shot
+   * @param parts [{id, name, colour}], colours as [r, g, b] in bytes
    * @param overlay the shot's `Overlay`  @param picked called with an environment's number
    */
-  constructor(shot, names, overlay, picked) {
+  constructor(shot, parts, overlay, picked) {
     this.shot = shot;
-    this.names = names;
+    this.parts = new Map(parts.map((part) => [part.id, part]));
     this.overlay = overlay;
     this.picked = picked;
     this.values = new Map();
@@ -31,7 +33,7 @@ export class Stage {
 
   /** Address of a pass as a picture. */
   picture(pass, environment = 0) {
-    const { subset, key } = this.shot.meta;
+    const { subset, key } = this.shot;
     return path("pass", subset, key, pass) + query({ environment });
   }
 
@@ -116,12 +118,9 @@ export class Stage {
 
   showLegend() {
     if (this.legend.childElementCount) return;
-    const parts = Array.isArray(this.names)
-      ? this.names.map((part, id) => (typeof part === "object" ? part : { id, name: part }))
-      : Object.entries(this.names ?? {}).map(([id, name]) => ({ id: Number(id), name }));
-    this.legend.append(...parts.map(({ id, name, colour }) => {
+    this.legend.append(...[...this.parts.values()].map(({ id, name, colour }) => {
       const key = h("span", { class: "swatch", "aria-hidden": "true" });
-      if (colour) key.style.background = `rgb(${colour.join(" ")})`;
+      key.style.background = `rgb(${colour.join(" ")})`;
       return h("li", {}, key, h("span", { class: "number", text: String(id) }), h("span", { text: name }));
     }));
   }
@@ -132,9 +131,9 @@ export class Stage {
 
   /** Arrays of passes are fetched when they are first asked for, each once. */
   array(pass, environment) {
-    const name = pass === "image" ? `image ${environment}` : pass;
+    const name = LIT.includes(pass) ? `${pass} ${environment}` : pass;
     if (!this.values.has(name)) {
-      const { subset, key } = this.shot.meta;
+      const { subset, key } = this.shot;
       const address = path("values", subset, key, pass) + query({ environment });
       const waiting = { array: null };
       this.values.set(name, waiting);
@@ -152,8 +151,9 @@ export class Stage {
     const x = Math.floor(((event.clientX - box.left) / box.width) * width);
     const y = Math.floor(((event.clientY - box.top) / box.height) * height);
     if (x < 0 || y < 0 || x >= width || y >= height) return this.idle();
-    const passes = [...new Set([this.pass, "parts", "depth", "alpha"])]
-      .filter((pass) => pass !== "landmarks" && (pass === "image" || this.shot.passes.includes(pass)));
+    const shown = this.pass === "image" ? LIT : [this.pass];
+    const passes = [...new Set([...shown, "parts", "depth", "alpha"])]
+      .filter((pass) => this.shot.values.includes(pass));
     this.again = () => this.write(x, y, passes, environment);
     this.again();
   }
@@ -173,8 +173,7 @@ export class Stage {
     const at = (y * width + x) * channels;
     const values = [...data.slice(at, at + channels)];
     if (pass === "parts") {
-      const part = this.names?.[values[0]];
-      return `${values[0]} ${part?.name ?? part ?? ""}`;
+      return `${values[0]} ${this.parts.get(values[0])?.name ?? ""}`;
     }
     const digits = type === "uint8" ? 0 : 4;
     const written = values.map((value) => value.toFixed(digits));

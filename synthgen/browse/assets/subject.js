@@ -5,7 +5,8 @@ import { button, h, slider } from "./dom.js";
 import { readGlb } from "./glb.js";
 import { Scene } from "./scene.js";
 
-const FRUSTUM = 0.12; // length drawn, metres
+const FRUSTUM = 0.18; // length drawn, metres
+const CLEAR = /^(cornea|tear)_|lens/; // what light goes through would hide what is behind
 
 export class SubjectView {
   /** @param address the page's `Address`, at a view `subject` */
@@ -32,7 +33,10 @@ export class SubjectView {
         button("Play", () => this.address.show("play", subset, id))),
       h("div", { class: "columns" },
         h("div", { class: "main" }, this.problem, this.canvas,
-          h("p", { class: "hint", text: "Drag to turn, wheel to zoom. Canonical: neck and head at rest." })),
+          h("div", { class: "row" },
+            button("With cameras", () => this.fit(this.everything)),
+            button("Bust alone", () => this.fit(this.bust)),
+            h("p", { class: "hint", text: "Drag to turn, wheel to zoom. Neck and head are at rest." }))),
         h("div", { class: "side" },
           h("section", { class: "panel" }, h("h2", { text: "Shots" }), this.shots),
           h("section", { class: "panel" }, h("h2", { text: "Expression" }), this.sliders))),
@@ -43,17 +47,22 @@ export class SubjectView {
     await this.expressions(subset, id, subject);
   }
 
-  list(subset, { cameras }) {
-    this.shots.append(...cameras.map(({ key }, i) => {
-      const shot = key.split("/").pop();
+  list(subset, { shots, cameras, broken }) {
+    const places = new Map(cameras.map(({ key }, i) => [key, i]));
+    const reasons = new Map(broken.map(({ key, reason }) => [key, reason]));
+    this.shots.append(...shots.map((shot) => {
+      const place = places.get(shot) ?? -1;
       return h("li", {}, h("a", {
-        href: this.address.href("shot", subset, shot), text: shot,
+        href: this.address.href("shot", subset, shot), text: shot.split("_").pop(),
+        class: reasons.has(shot) ? "broken" : null,
+        title: reasons.has(shot) ? `${shot}, broken: ${reasons.get(shot)}` : shot,
+        "aria-label": `Shot ${shot}`,
         onclick: (event) => {
           if (event.ctrlKey || event.metaKey) return;
           event.preventDefault();
           this.address.show("shot", subset, shot);
         },
-        onmouseenter: () => this.mark(i), onfocus: () => this.mark(i),
+        onmouseenter: () => this.mark(place), onfocus: () => this.mark(place),
         onmouseleave: () => this.mark(-1), onblur: () => this.mark(-1),
       }));
     }));
@@ -61,18 +70,12 @@ export class SubjectView {
 
   async show(subset, id, { cameras }) {
     const answer = await ask(path("subject", subset, `${id}.glb`));
-    const meshes = readGlb(await answer.arrayBuffer());
+    const meshes = readGlb(await answer.arrayBuffer()).filter(({ name }) => !CLEAR.test(name));
     this.scene = new Scene(this.canvas);
-    const low = [Infinity, Infinity, Infinity];
-    const high = [-Infinity, -Infinity, -Infinity];
-    for (const { positions } of meshes) {
-      for (let i = 0; i < positions.length; i++) {
-        low[i % 3] = Math.min(low[i % 3], positions[i]);
-        high[i % 3] = Math.max(high[i % 3], positions[i]);
-      }
-    }
-    this.scene.target = low.map((v, i) => (v + high[i]) / 2);
-    this.scene.distance = 2.3 * Math.hypot(...low.map((v, i) => high[i] - v));
+    const eyes = cameras.map(({ camera_to_world: axes }) => [0, 1, 2].map((i) => axes[i][3]));
+    this.bust = bounds(meshes.map(({ positions }) => positions));
+    this.everything = bounds([...meshes.map(({ positions }) => positions), eyes.flat()]);
+    this.fit(this.everything);
     this.meshes = meshes.map((mesh) => ({ ...mesh, thing: this.scene.mesh(mesh) }));
     this.frusta = cameras.map((camera) => [[120, 130, 145], [47, 129, 247]].map((colour) => {
       const thing = this.scene.lines(frustum(camera), colour);
@@ -80,6 +83,14 @@ export class SubjectView {
     }));
     this.mark(-1);
     this.canvas.dataset.cameras = String(cameras.length);
+  }
+
+  /** Brings a sphere {centre, radius} into the window. */
+  fit({ centre, radius }) {
+    if (!this.scene) return;
+    this.scene.target = centre;
+    this.scene.distance = 3 * radius;
+    this.scene.draw();
   }
 
   /** Draws one camera in the accent colour. */
@@ -140,6 +151,22 @@ export class SubjectView {
   close() {
     this.scene?.close();
   }
+}
+
+/** The sphere about the box of points, of arrays (3N). */
+function bounds(arrays) {
+  const low = [Infinity, Infinity, Infinity];
+  const high = [-Infinity, -Infinity, -Infinity];
+  for (const positions of arrays) {
+    for (let i = 0; i < positions.length; i++) {
+      low[i % 3] = Math.min(low[i % 3], positions[i]);
+      high[i % 3] = Math.max(high[i % 3], positions[i]);
+    }
+  }
+  return {
+    centre: low.map((v, i) => (v + high[i]) / 2),
+    radius: 0.5 * Math.hypot(...low.map((v, i) => high[i] - v)),
+  };
 }
 
 /** Line segments of a camera: its centre, its picture at `FRUSTUM` and a tick above it. */
