@@ -65,20 +65,19 @@ class Server:
         chosen = selection.parse(request.query_params, snapshot)
         offset = selection.number(request.query_params, "offset", 0, 0, 10**9)
         limit = selection.number(request.query_params, "limit", 60, 0, ROWS)
-        rows = shots.page(snapshot, chosen, offset, limit)
+        total, rows = shots.page(snapshot, chosen, offset, limit)
         health = samples.Health(self.folder)
         for row in rows:
             row["broken"] = health.reason(row)
-        found = shots.total(snapshot, chosen)
-        return Answer({"total": found, "rows": rows, "revision": snapshot.revision})
+        self.library.answered()
+        return Answer({"total": total, "rows": rows, "revision": snapshot.revision})
 
     def counts(self, request: Request) -> Response:
         snapshot = self.library.snapshot()
         chosen = selection.parse(request.query_params, snapshot)
         wanted = request.query_params.get("columns")
         names = None if wanted is None else [n for n in wanted.split(",") if n]
-        found = shots.total(snapshot, chosen)
-        return Answer({"total": found} | counts.count(snapshot, chosen, names))
+        return Answer(counts.count(snapshot, chosen, names))
 
     def thumbnail(self, request: Request) -> Response:
         environment = selection.number(request.query_params, "environment", 0, 0, 99)

@@ -36,7 +36,8 @@ class Selection:
 
     def condition(self, without: str = "") -> tuple[str, list[Any]]:
         """An SQL condition and the values bound to it; `without` leaves one column's choice out."""
-        terms, values = ["true"], []
+        terms: list[str] = []
+        values: list[Any] = []
         for name, chosen in self.facets.items():
             if name != without:
                 term, bound = _facet(name, chosen)
@@ -49,7 +50,7 @@ class Selection:
                     values.append(end)
         if self.where:
             terms.append(f"({self.where}\n)")
-        return " AND ".join(terms), values
+        return " AND ".join(terms) or "true", values
 
     def order(self) -> str:
         """An ORDER BY clause: the manifest's own order where nothing else is said."""

@@ -14,41 +14,41 @@ from synthgen.browse.snapshot import Snapshot
 _EXACT = 2**53  # what a number of JavaScript holds exactly
 
 
-def page(snapshot: Snapshot, selection: Selection, offset: int, limit: int) -> list[dict[str, Any]]:
-    """Rows `offset` to `offset + limit` of a selection: the columns of the grid, and of the sort.
+def page(
+    snapshot: Snapshot, selection: Selection, offset: int, limit: int
+) -> tuple[int, list[dict[str, Any]]]:
+    """How many rows a selection has, and those from `offset` on, `limit` at most.
 
-    Rows that are equal in the sorted column come in the manifest's order.
+    A row has the columns of the grid, of the sort, and of the place of its bytes. Rows that are
+    equal in the sorted column come in the manifest's order.
     """
-    names = [n for n in GRID if n in snapshot.columns]
-    # Where the sample lies, to tell whether its shard is whole.
-    names += [n for n in ("shard", "offset", "size") if n in snapshot.columns]
+    names = [n for n in (*GRID, "shard", "offset", "size") if n in snapshot.columns]
     if selection.sort and selection.sort not in names:
         names.append(selection.sort)
-    condition, values = selection.condition()
     columns = ", ".join(map(quoted, names))
+    condition, values = selection.condition()
     if snapshot.in_memory:
-        order = selection.order()
-        order = f"{order}, rowid" if order else "ORDER BY rowid"
-        # Of the rows that are not shown, only what is asked about is read.
-        inner = (
-            f"SELECT rowid FROM manifest WHERE {condition} {order} LIMIT {limit} OFFSET {offset}"
-        )
+        found = snapshot.matches.rows(condition, values, selection.order())
+        wanted = found[offset : offset + limit].tolist()
         rows = snapshot.sandbox.ask(
-            f"SELECT {columns} FROM manifest WHERE rowid IN ({inner}) {order}", values
+            f"SELECT rowid, {columns} FROM manifest WHERE rowid IN (SELECT unnest(?::BIGINT[]))",
+            [wanted],
         )
+        place = {number: i for i, number in enumerate(wanted)}
+        rows = [row[1:] for row in sorted(rows, key=lambda row: place[row[0]])]
+        total = len(found)
     else:
         rows = snapshot.sandbox.ask(
             f"SELECT {columns} FROM manifest WHERE {condition} {selection.order()} "
             f"LIMIT {limit} OFFSET {offset}",
             values,
         )
-    return [dict(zip(names, map(plain, row), strict=True)) for row in rows]
-
-
-def total(snapshot: Snapshot, selection: Selection) -> int:
-    """How many rows a selection has."""
-    condition, values = selection.condition()
-    return snapshot.sandbox.ask(f"SELECT count(*) FROM manifest WHERE {condition}", values)[0][0]
+        total = snapshot.shots + snapshot.failures
+        if condition != "true":
+            ((total,),) = snapshot.sandbox.ask(
+                f"SELECT count(*) FROM manifest WHERE {condition}", values
+            )
+    return total, [dict(zip(names, map(plain, row), strict=True)) for row in rows]
 
 
 def row(snapshot: Snapshot, subset: str, key: str) -> dict[str, Any]:

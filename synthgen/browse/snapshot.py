@@ -9,6 +9,7 @@ Subjects that failed are rows, too: `failed` is true, `reason` says why, and the
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import os
@@ -19,14 +20,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import duckdb
+
 from synthgen import ledger, manifest
+from synthgen.browse.codes import Codes
 from synthgen.browse.fields import LEFT_OUT, Column, column
 from synthgen.browse.folder import NAME, Folder, Refused
+from synthgen.browse.matches import Matches
 from synthgen.browse.sandbox import Sandbox, literal, quoted
 from synthgen.columns import IDENTITY, PLACE, schema_of
 
 _NAME = re.compile(r"\w{1,128}", re.ASCII)
 _SETTLE = 2.0  # seconds between two looks at the folder
+_SMALL = 20_000  # shots that are read into memory before anything is served
+_PATIENCE = 1.0  # seconds that a larger manifest waits for the first page to be served
 
 
 @dataclass(frozen=True)
@@ -41,18 +48,24 @@ class Snapshot:
     revision: str
     info: dict[str, Any]
     in_memory: bool
+    matches: Matches
+    codes: Codes
 
 
 class Library:
-    """The current snapshot of a folder; `snapshot()` may be called from several threads."""
+    """The current snapshot of a folder; may be used by several threads."""
 
     def __init__(self, folder: Folder, threads: int = 2) -> None:
         self.folder, self.threads = folder, threads
         self._lock = threading.Lock()
         self._looked = time.monotonic()
+        self._answered = threading.Event()
         self._loading: threading.Thread | None = None
         self._current = _read(folder, threads, in_memory=False)
-        self._load()
+        if self._current.shots <= _SMALL:
+            self._current = _read(folder, threads, in_memory=True)
+        else:
+            self._load(patience=_PATIENCE)
 
     def snapshot(self) -> Snapshot:
         """The newest snapshot that is ready; looks at the folder at most every other second."""
@@ -70,16 +83,28 @@ class Library:
             self._loading.join()
         return self._current
 
-    def _load(self) -> None:
-        self._loading = threading.Thread(target=self._replace, daemon=True)
+    def answered(self) -> None:
+        """Say that somebody has a first page: now the cores are free to load."""
+        self._answered.set()
+
+    def _load(self, patience: float = 0.0) -> None:
+        self._loading = threading.Thread(target=self._replace, args=(patience,), daemon=True)
         self._loading.start()
 
-    def _replace(self) -> None:
-        try:
-            self._current = _read(self.folder, self.threads, in_memory=True)
-        except Exception as error:  # a manifest in the middle of a change: the next look tells
-            self._failure = error
+    def _replace(self, patience: float) -> None:
+        self._answered.wait(patience)
+        # A folder in the middle of a change may not make sense: the next look tells.
+        with contextlib.suppress(duckdb.Error, ledger.StorageError, Refused, OSError):
+            loaded = _read(self.folder, self.threads, in_memory=True)
+            with self._lock:
+                self._current = loaded
+            self._prepare(loaded)
         self._looked = time.monotonic()
+
+    def _prepare(self, snapshot: Snapshot) -> None:
+        for described in snapshot.columns.values():
+            if described.kind in ("facet", "range") and self._current is snapshot:
+                snapshot.codes.of(described)
 
 
 def revision(folder: Folder) -> str:
@@ -134,7 +159,16 @@ def _read(folder: Folder, threads: int, in_memory: bool) -> Snapshot:
         "SELECT count(*), coalesce(sum(len(environments)), 0) FROM manifest WHERE NOT failed"
     )
     return Snapshot(
-        sandbox, columns, int(shots), int(frames), failures, name, info, in_memory=in_memory
+        sandbox,
+        columns,
+        int(shots),
+        int(frames),
+        failures,
+        name,
+        info,
+        in_memory,
+        Matches(sandbox, in_memory),
+        Codes(sandbox),
     )
 
 
