@@ -1,5 +1,6 @@
 # make demo   sets everything up, renders render_jobs/demo.toml, verifies it, prints its contact sheet
 # make test   sets everything up, checks and tests everything
+# make test-browser  sets a browser up and tests the page of `synthgen browse` in it
 # make lint   format, lint, types, import rules
 # make setup  only the set-up: .venv with all that rendering takes
 #
@@ -13,7 +14,7 @@ PIP    := $(BIN)/pip --disable-pip-version-check install --progress-bar off
 # CPU builds of torch are a tenth of the size. Where this index cannot be reached, any build serves.
 TORCH_CPU := --timeout 15 --retries 1 --extra-index-url https://download.pytorch.org/whl/cpu
 
-.PHONY: demo test lint setup benchmark-setup clean
+.PHONY: demo test test-browser lint setup benchmark-setup clean
 .DELETE_ON_ERROR:
 
 setup: $(VENV)/.head
@@ -75,6 +76,19 @@ lint: $(VENV)/.dev
 test: setup lint
 	@echo "== tests (pytest)"
 	@$(BIN)/pytest
+
+# Debian's Chromium brings the libraries that it needs; Playwright's own does for other systems. Where
+# neither can be had, the tests are skipped and say so.
+test-browser: setup $(VENV)/.dev
+	@echo "== installing a browser and its driver (once)"
+	@$(PIP) --editable '.[render,dev,browser]' || echo "playwright cannot be installed here"
+	@if command -v chromium >/dev/null; then :; \
+	elif [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null \
+	  && apt-get update -qq && apt-get install -y -qq --no-install-recommends chromium; then :; \
+	elif $(BIN)/playwright install chromium; then :; \
+	else echo "no Chromium can be installed here: the tests of the page are skipped"; fi
+	@echo "== tests in the browser (pytest)"
+	@$(BIN)/pytest -m browser
 
 clean:
 	rm -rf out build *.egg-info .pytest_cache .ruff_cache .import_linter_cache

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 import fake_renderer
+import page_driver
 import pytest
 
 from synthgen.farm.local import render_job
@@ -69,3 +71,33 @@ def small_dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     job = fake_renderer.small_job()
     assert render_job(job, out, workers=1, renderer=fake_renderer.RENDERER).complete
     return out
+
+
+@pytest.fixture(scope="session")
+def browse_dataset(small_dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """`small_dataset` with meshes, a hostile name and one shard that is cut short."""
+    return page_driver.prepare(small_dataset, tmp_path_factory.mktemp("browse") / "dataset")
+
+
+@pytest.fixture(scope="session")
+def chromium() -> Iterator[Any]:
+    """A headless Chromium; skips where there is none."""
+    with page_driver.chromium() as browser:
+        yield browser
+
+
+@pytest.fixture(scope="session")
+def browse_site(
+    chromium: Any, browse_dataset: Path, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[str]:
+    """The address of `synthgen browse` over `browse_dataset`."""
+    with page_driver.served(browse_dataset, tmp_path_factory.mktemp("cache")) as address:
+        yield address
+
+
+@pytest.fixture
+def browser_page(chromium: Any, browse_site: str) -> Iterator[Any]:
+    """The page at 1280 x 800, which must not complain until the test ends."""
+    with page_driver.opened(chromium, browse_site) as page:
+        page.locator(".cell.loaded").first.wait_for()
+        yield page

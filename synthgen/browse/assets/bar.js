@@ -5,7 +5,7 @@ import { button, h, number, segments } from "./dom.js";
 const SIZES = [[110, "S"], [160, "M"], [240, "L"]];
 
 export class Bar {
-  /** @param calls `resize(pixels)`, `filters()` shows or hides the filters, `help()` */
+  /** @param calls `resize(pixels)`, `filters(shown)`, `help()` */
   constructor(element, chips, address, calls) {
     Object.assign(this, { element, chips, address, calls });
   }
@@ -37,7 +37,7 @@ export class Bar {
     this.direction = button("↑", () => {
       this.address.select({ descending: !this.address.selection.descending });
     });
-    this.filters = button("Filters", () => this.calls.filters(), { class: "filters" });
+    this.filters = button("Filters", () => this.filter(!this.filtering), { class: "filters" });
     this.element.replaceChildren(
       h("div", { class: "brand" }, h("h1", { text: dataset.name }), this.total, this.state),
       h("div", { class: "search" },
@@ -59,6 +59,13 @@ export class Bar {
       groups.get(column.group).append(h("option", { value: column.name, text: column.label || column.name }));
     }
     return groups.values();
+  }
+
+  /** Shows the filters instead of the grid, where there is no room for both, or the grid again. */
+  filter(shown) {
+    this.filtering = shown;
+    this.filters.textContent = shown ? "Show pictures" : "Filters";
+    this.calls.filters(shown);
   }
 
   /** Shows the selection: field, order and a chip per filter. */

@@ -39,7 +39,8 @@ export class Facets {
       );
       return { details, members };
     });
-    this.element.replaceChildren(...this.groups.map((group) => group.details));
+    this.problem = h("p", { class: "problem", role: "alert", hidden: true });
+    this.element.replaceChildren(this.problem, ...this.groups.map((group) => group.details));
   }
 
   part(column) {
@@ -59,8 +60,17 @@ export class Facets {
       .flatMap(({ members }) => members.map((column) => column.name));
   }
 
+  /** Says why there are no counts; what is shown may then be that of another selection. */
+  fail(error) {
+    this.problem.textContent = error.message;
+    this.problem.hidden = false;
+    this.element.classList.add("stale");
+  }
+
   /** Shows the counts of a selection. */
   show(counts) {
+    this.problem.hidden = true;
+    this.element.classList.remove("stale");
     const { facets, ranges } = this.address.selection;
     for (const [name, values] of Object.entries(counts.facets ?? {})) {
       this.parts.get(name)?.show(values, facets[name] ?? []);

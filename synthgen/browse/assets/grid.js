@@ -276,7 +276,8 @@ class Cell {
     this.grid = grid;
     this.index = index;
     this.image = h("img", { alt: "", draggable: "false" });
-    this.text = h("span", { class: "caption" });
+    this.text = h("span", { class: "words" });
+    this.value = h("span", { class: "sorted" });
     this.element = h(
       "a",
       {
@@ -284,7 +285,8 @@ class Cell {
         "aria-posinset": String(index + 1),
         onclick: (event) => this.clicked(event),
       },
-      h("span", { class: "picture" }, this.image), this.text,
+      h("span", { class: "picture" }, this.image),
+      h("span", { class: "caption" }, this.text, this.value),
     );
   }
 
@@ -311,8 +313,10 @@ class Cell {
     this.row = row;
     const { calls } = this.grid;
     this.element.setAttribute("href", calls.href(row, this.index));
-    this.element.setAttribute("aria-label", calls.caption(row).label);
-    this.text.textContent = calls.caption(row).text;
+    const { label, text, value } = calls.caption(row);
+    this.element.setAttribute("aria-label", label);
+    this.text.textContent = text;
+    this.value.textContent = value;
     this.load();
   }
 

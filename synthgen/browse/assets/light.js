@@ -190,8 +190,9 @@ export class LightPanel {
   draw() {
     cancelAnimationFrame(this.frame);
     this.frame = requestAnimationFrame(() => {
-      this.shading?.draw(this.settings);
-      this.canvas.dataset.drawn = String(Number(this.canvas.dataset.drawn ?? 0) + 1);
+      if (this.shading?.draw(this.settings)) {
+        this.canvas.dataset.drawn = String(Number(this.canvas.dataset.drawn ?? 0) + 1);
+      }
     });
   }
 

@@ -2,7 +2,7 @@
 
 import { askJson, query } from "./api.js";
 import { Bar } from "./bar.js";
-import { button, h } from "./dom.js";
+import { button, h, number } from "./dom.js";
 import { Facets } from "./facets.js";
 import { Grid } from "./grid.js";
 import { listen } from "./keyboard.js";
@@ -32,7 +32,9 @@ const grid = new Grid(part("grid"), {
   },
   caption: (row) => {
     const age = row.person_age_years ? `, ${Math.round(row.person_age_years)} years` : "";
-    return { text: row.key, label: `${row.subset}/${row.key}${age}` };
+    const { sort } = address.selection;
+    const value = sort && sort !== "key" ? number(row[sort] ?? "none") : "";
+    return { text: row.key, value, label: `${row.subset}/${row.key}${age}` };
   },
   revision: () => dataset.revision,
   counted: (total) => {
@@ -51,7 +53,7 @@ const grid = new Grid(part("grid"), {
 });
 const bar = new Bar(part("bar"), part("chips"), address, {
   resize: (size) => grid.resize(size),
-  filters: () => part("page").classList.toggle("filtering"),
+  filters: (shown) => part("page").classList.toggle("filtering", shown),
   help: () => part("help").showModal(),
 });
 const facets = new Facets(part("facets"), address, () => count());
@@ -68,8 +70,8 @@ async function count() {
       { signal: counting.signal },
     ));
   } catch (error) {
-    // The grid says what is wrong with a selection.
-    if (error.name !== "AbortError" && error.status === 0) grid.calls.failed(error);
+    // Of a wrong condition, 400, the bar speaks.
+    if (error.name !== "AbortError" && error.status !== 400) facets.fail(error);
   }
 }
 
@@ -118,7 +120,7 @@ async function watch() {
     const now = await askJson("/api/dataset");
     const grown = now.revision !== dataset.revision;
     dataset = { ...now };
-    bar.state.textContent = now.complete ? "" : "being rendered";
+    bar.state.textContent = state(now);
     if (grown) {
       grid.refresh();
       count();
@@ -129,7 +131,13 @@ async function watch() {
     bar.state.textContent = error.message;
     bar.state.classList.add("lost");
   }
-  if (!dataset.complete) setTimeout(watch, GROWING);
+  if (state(dataset)) setTimeout(watch, GROWING);
+}
+
+/** What is still to come of a dataset, in two words; "" of one that is whole. */
+function state({ complete, ready }) {
+  if (!complete) return "being rendered";
+  return ready === false ? "being indexed" : "";
 }
 
 async function start() {
@@ -146,7 +154,7 @@ async function start() {
   listen(part("help"), {
     search: () => { address.close(); bar.where.focus(); bar.where.select(); },
     close: () => {
-      if (part("page").classList.contains("filtering")) part("page").classList.remove("filtering");
+      if (part("page").classList.contains("filtering")) bar.filter(false);
       else address.close();
     },
     view: () => view,
@@ -155,10 +163,8 @@ async function start() {
   address.addEventListener("view", open);
   select();
   open();
-  if (!dataset.complete) {
-    bar.state.textContent = "being rendered";
-    setTimeout(watch, GROWING);
-  }
+  bar.state.textContent = state(dataset);
+  if (state(dataset)) setTimeout(watch, GROWING);
 }
 
 start();

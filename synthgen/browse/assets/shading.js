@@ -184,14 +184,14 @@ export class Shading {
   }
 
   /**
-   * Draws the shot.
+   * Draws the shot and returns true; false while it or its light is missing.
    *
    * @param settings `angle` of the environment about +Z in radians, `exposure` linear factor,
    *   `diffuse` k_d, `specular` k_s of SHININESS, `filtered` whether pixels take the mean around
    *   them as a camera's do, `backdrop` whether the environment lies behind
    */
   draw(settings) {
-    if (!this.ready.shot || !this.ready.maps) return;
+    if (!this.ready.shot || !this.ready.maps) return false;
     const { gl, light, show, textures, canvas } = this;
     gl.viewport(0, 0, canvas.width, canvas.height);
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.target);
@@ -208,6 +208,7 @@ export class Shading {
     gl.uniform1i(show.places.filtered, Number(settings.filtered));
     gl.uniform1i(show.places.backdrop, Number(settings.backdrop));
     gl.drawArrays(gl.TRIANGLES, 0, 3);
+    return true;
   }
 
   /** Linear light at a pixel as it was last drawn, [r, g, b]; null where there is no surface. */

@@ -34,6 +34,7 @@ export class ShotView {
     this.environment = Math.min(Number(options.environment) || 0, shot.environments.length - 1);
     this.passes = ["image", ...shot.passes.filter((p) => p in NAMES && p !== "image")];
     this.pass = this.passes.includes(options.pass) ? options.pass : "image";
+    this.beside = options.one !== "1";
     this.overlay = new Overlay(shot);
     this.overlay.landmarks = options.landmarks === "1";
     this.overlay.mesh = options.mesh === "1";
@@ -48,7 +49,11 @@ export class ShotView {
         h("div", { class: "side" }, this.siblings(), this.reproduce(),
           metadata(shot.meta), members(shot.members))),
     );
-    this.stage.show(this.pass, this.environment);
+    this.draw();
+  }
+
+  draw() {
+    this.stage.show(this.pass, this.environment, this.beside);
   }
 
   header(subset, id, subject) {
@@ -88,21 +93,40 @@ export class ShotView {
         },
       }), h("span", { text: label }));
     return h("div", { class: "tools" }, this.switch,
-      overlay("landmarks", "Landmarks"), overlay("mesh", "Mesh"));
+      overlay("landmarks", "Landmarks"), overlay("mesh", "Mesh"),
+      this.shot.environments.length > 1 ? this.lights() : null);
+  }
+
+  /** Which environments are shown: all side by side, or one of them, large. */
+  lights() {
+    return h("select", {
+      "aria-label": "Lights shown",
+      onchange: ({ target }) => {
+        this.beside = target.value === "all";
+        this.address.note({ one: this.beside ? "0" : "1" });
+        if (this.beside) this.draw();
+        else this.pick(Number(target.value));
+      },
+    },
+    h("option", { value: "all", text: "All lights side by side", selected: this.beside }),
+    ...this.shot.environments.map(({ id }, e) => h("option", {
+      value: String(e), text: `${id} alone`, selected: !this.beside && e === this.environment,
+    })));
   }
 
   show(pass) {
     this.pass = pass;
     this.switch.select(pass);
     this.address.note({ pass });
-    this.stage.show(pass, this.environment);
+    this.draw();
   }
 
   /** Chooses an environment of the shot for light and play. */
   pick(environment) {
     this.environment = environment;
     this.address.note({ environment: String(environment) });
-    this.stage.mark(environment);
+    if (this.beside) this.stage.mark(environment);
+    else this.draw();
     this.light.use(environment);
   }
 

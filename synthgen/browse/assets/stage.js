@@ -37,11 +37,11 @@ export class Stage {
     return path("pass", subset, key, pass) + query({ environment });
   }
 
-  /** Shows a pass; `image` shows all environments side by side. */
-  show(pass, environment) {
+  /** Shows a pass; `beside`: of the image, all environments side by side. */
+  show(pass, environment, beside) {
     this.pass = pass;
     const { environments } = this.shot;
-    const many = pass === "image" && environments.length > 1;
+    const many = beside && pass === "image" && environments.length > 1;
     const shown = many ? environments.map((_, e) => e) : [environment];
     this.figures.replaceChildren(...shown.map((e) => this.figure(pass, e, many)));
     this.figures.style.setProperty("--count", String(shown.length));
