@@ -37,6 +37,8 @@ class Coded:
     def count(self, rows: np.ndarray | None) -> np.ndarray:
         """How often each code occurs in these rows, or in all of them."""
         size = len(self.values) or max(len(self.edges) - 1, 0)
+        if not size:
+            return np.zeros(0, int)
         chosen = self.codes if rows is None else self.codes[rows]
         return np.bincount(chosen.ravel(), minlength=size + 1)[:size]
 
@@ -70,6 +72,8 @@ class Codes:
             f"GROUP BY v ORDER BY count(*) DESC, v LIMIT {VALUES}"
         )
         values = [v for (v,) in found]
+        if not values:
+            return Coded(np.empty((0, 1), np.uint16), [], [])
         # NULL is a value of its own, which a list of values does not find.
         known = [str(v) for v in values if v is not None]
         places = [name]
@@ -89,8 +93,7 @@ class Codes:
         codes = [table[answer[f"c{i}"]] for i in range(len(places))]
         if "missing" in answer:
             codes[0] = np.where(answer["missing"] > 0, values.index(None), codes[0])
-        stacked = np.stack(codes, 1) if codes else np.empty((0, 1), np.uint16)
-        return Coded(stacked.astype(np.uint16), values, [])
+        return Coded(np.stack(codes, 1).astype(np.uint16), values, [])
 
     def _range(self, column: Column) -> Coded:
         name = f"{quoted(column.name)}::DOUBLE"

@@ -87,10 +87,8 @@ class Sandbox:
                 return fetch(cursor.execute(sql, values or []))
             except (duckdb.Error, RuntimeError) as error:
                 if late.is_set():
-                    raise Refused(
-                        f"where: took more than {SECONDS:g} seconds and was stopped; ask for less",
-                        400,
-                    ) from None
+                    reason = f"the selection took more than {SECONDS:g} s and was stopped"
+                    raise Refused(f"{reason}; ask for less", 400) from None
                 raise Refused(f"where: {_one_line(error)}", 400) from None
             finally:
                 timer.cancel()

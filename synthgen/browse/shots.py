@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from decimal import Decimal
 from typing import Any
 
 from synthgen.browse.fields import GRID
@@ -66,6 +67,8 @@ def row(snapshot: Snapshot, subset: str, key: str) -> dict[str, Any]:
 
 def plain(value: Any) -> Any:
     """A value of a row as JSON holds it: no NaN, and large integers as text."""
+    if isinstance(value, Decimal):
+        value = float(value)
     if isinstance(value, float) and not math.isfinite(value):
         return None
     if isinstance(value, int) and not isinstance(value, bool) and abs(value) > _EXACT:

@@ -53,7 +53,10 @@ class Snapshot:
 
 
 class Library:
-    """The current snapshot of a folder; may be used by several threads."""
+    """The current snapshot of a folder; may be used by several threads.
+
+    Raises `StorageError` if the folder is no dataset, or its manifest cannot be read.
+    """
 
     def __init__(self, folder: Folder, threads: int = 2) -> None:
         self.folder, self.threads = folder, threads
@@ -61,11 +64,17 @@ class Library:
         self._looked = time.monotonic()
         self._answered = threading.Event()
         self._loading: threading.Thread | None = None
-        self._current = _read(folder, threads, in_memory=False)
-        if self._current.shots <= _SMALL:
-            self._current = _read(folder, threads, in_memory=True)
-        else:
-            self._load(patience=_PATIENCE)
+        try:
+            self._current = _read(folder, threads, in_memory=False)
+            if self._current.shots <= _SMALL:
+                self._current = _read(folder, threads, in_memory=True)
+                return
+        except (duckdb.Error, Refused) as error:
+            reason = " ".join(str(error).splitlines()[:1])[:200]
+            raise ledger.StorageError(
+                f"{folder.given}: its manifest is damaged: {reason}"
+            ) from None
+        self._load(patience=_PATIENCE)
 
     def snapshot(self) -> Snapshot:
         """The newest snapshot that is ready; looks at the folder at most every other second."""
@@ -243,8 +252,13 @@ def _fill(
         run(
             f"INSERT INTO {table} SELECT unnest(from_json(line, ?)) "
             "FROM (SELECT unnest(?) AS line)",
-            [shape, [json.dumps(r) for r in rows]],
+            [shape, [_line(r) for r in rows]],
         )
+
+
+def _line(row: dict[str, Any]) -> str:
+    """A row as JSON; half characters, which JSON can name and UTF-8 cannot hold, become `?`."""
+    return json.dumps(row, ensure_ascii=False).encode(errors="replace").decode()
 
 
 def threads() -> int:
