@@ -247,7 +247,7 @@ def test_a_hostile_dataset_stays_text(browser_page: Any):
     page = browser_page
     assert page.locator(".brand h1").inner_text() == page_driver.HOSTILE
     assert page.locator(".brand img").count() == 0
-    assert "owned" != page.title()
+    assert page.title() != "owned"
     policy = page.request.get(page.url.split("?")[0]).headers["content-security-policy"]
     assert "unsafe" not in policy
     assert page.evaluate("[...document.querySelectorAll('[style]')].every(e => e.style.length)")
@@ -272,7 +272,8 @@ def test_every_width_and_scheme_fits(chromium: Any, browse_site: str, scheme: st
             assert page.evaluate("document.documentElement.scrollWidth") <= width, name
             page_driver.screenshot(page, f"{name}-{width}-{scheme}")
             unnamed = page.evaluate(
-                "[...document.querySelectorAll('button, a, input, select, canvas[tabindex], summary')]"
+                "[...document.querySelectorAll('button, a, input, select, canvas[tabindex],"
+                " summary')]"
                 ".filter(e => e.offsetParent && !(e.ariaLabel || e.getAttribute('aria-label')"
                 " || e.textContent.trim() || e.labels?.length)).map(e => e.outerHTML)"
             )

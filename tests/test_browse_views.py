@@ -6,6 +6,7 @@ lightmaps: that is the promise that makes it worth looking at.
 
 from __future__ import annotations
 
+import base64
 import math
 import re
 from pathlib import Path
@@ -97,8 +98,8 @@ def test_overlays_are_drawn_where_the_subject_is(page: Any, shot: Shot, overlay:
     assert not page_driver.pixels(page, "canvas.overlay")[..., 3].any()
     page.get_by_role("checkbox", name=overlay).check()
     page.wait_for_function(
-        "() => [...document.querySelector('canvas.overlay').getContext('2d').getImageData(0, 0, 999, 999)"
-        ".data].some(Boolean)"
+        "() => [...document.querySelector('canvas.overlay').getContext('2d')"
+        ".getImageData(0, 0, 999, 999).data].some(Boolean)"
     )
     drawn = page_driver.pixels(page, "canvas.overlay")[..., 3] > 0
     visible = np.array(shot.meta["landmarks"]["visible"])
@@ -226,7 +227,18 @@ def test_a_dropped_panorama_lights_the_shot(page: Any, shot: Shot, tmp_path: Pat
     path = tmp_path / "sun.exr"
     panorama.write(path, sun, {})
     redrawn(page, page.get_by_label("Pixel filter").uncheck)
-    redrawn(page, lambda: page.get_by_label("Panorama file").set_input_files(path))
+    content = base64.b64encode(path.read_bytes()).decode()
+    dragged = page.evaluate_handle(
+        "text => { const data = new DataTransfer();"
+        " const bytes = Uint8Array.from(atob(text), c => c.charCodeAt(0));"
+        " data.items.add(new File([bytes], 'sun.exr')); return data; }",
+        content,
+    )
+    drop = {"dataTransfer": dragged}
+    redrawn(page, lambda: page.locator(".lightpanel").dispatch_event("drop", drop))
+    assert page.get_by_label("Environment", exact=True).locator("option:checked").inner_text() == (
+        "sun.exr"
+    )
     maps = lightmaps.bake(torch.from_numpy(sun), 32)
     factor = 0.5 / float(maps[0].mean())
     assert compare(page, shaded(maps, shot, 0.0, factor), shot) < 0.01

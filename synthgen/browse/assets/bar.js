@@ -2,7 +2,11 @@
 
 import { button, h, number, segments } from "./dom.js";
 
-const SIZES = [[110, "S"], [160, "M"], [240, "L"]];
+const SIZES = [
+  [110, "S"],
+  [160, "M"],
+  [240, "L"],
+];
 
 export class Bar {
   /** @param calls `resize(pixels)`, `filters(shown)`, `help()` */
@@ -16,9 +20,13 @@ export class Bar {
     this.total = h("span", { class: "total number", "aria-live": "polite" });
     this.state = h("span", { class: "state" });
     this.where = h("input", {
-      type: "text", class: "where", spellcheck: "false", autocomplete: "off",
+      type: "text",
+      class: "where",
+      spellcheck: "false",
+      autocomplete: "off",
       placeholder: "SQL condition, e.g. person_age_years > 60 AND head_yaw < 0",
-      "aria-label": "SQL condition on the manifest", "aria-describedby": "where-problem",
+      "aria-label": "SQL condition on the manifest",
+      "aria-describedby": "where-problem",
       onkeydown: (event) => {
         if (event.key === "Enter") this.address.select({ where: this.where.value.trim() });
       },
@@ -40,23 +48,37 @@ export class Bar {
     this.filters = button("Filters", () => this.filter(!this.filtering), { class: "filters" });
     this.element.replaceChildren(
       h("div", { class: "brand" }, h("h1", { text: dataset.name }), this.total, this.state),
-      h("div", { class: "search" },
-        h("span", { class: "prompt", "aria-hidden": "true", text: "WHERE" }), this.where,
-        h("kbd", { text: "/", "aria-hidden": "true" }), this.problem),
-      h("div", { class: "order" }, this.filters, this.sort, this.direction,
+      h(
+        "div",
+        { class: "search" },
+        h("span", { class: "prompt", "aria-hidden": "true", text: "WHERE" }),
+        this.where,
+        h("kbd", { text: "/", "aria-hidden": "true" }),
+        this.problem,
+      ),
+      h(
+        "div",
+        { class: "order" },
+        this.filters,
+        this.sort,
+        this.direction,
         segments("Size of pictures", SIZES, 160, this.calls.resize),
-        button("?", () => this.calls.help(), { label: "Keyboard" })),
+        button("?", () => this.calls.help(), { label: "Keyboard" }),
+      ),
     );
     this.where.value = selection.where;
     this.show();
   }
 
-  /** Columns to sort by, under their groups: labels alone are not unique. */
+  /** Columns to sort by, under their groups. */
   orders(columns) {
     const groups = new Map();
     for (const column of columns.filter(({ listed }) => !listed)) {
-      if (!groups.has(column.group)) groups.set(column.group, h("optgroup", { label: column.group }));
-      groups.get(column.group).append(h("option", { value: column.name, text: column.label || column.name }));
+      if (!groups.has(column.group))
+        groups.set(column.group, h("optgroup", { label: column.group }));
+      groups
+        .get(column.group)
+        .append(h("option", { value: column.name, text: this.label(column.name) }));
     }
     return groups.values();
   }
@@ -74,7 +96,9 @@ export class Bar {
     if (document.activeElement !== this.where) this.where.value = where;
     this.sort.value = sort;
     this.direction.textContent = descending ? "↓" : "↑";
-    const label = descending ? "Descending; change to ascending" : "Ascending; change to descending";
+    const label = descending
+      ? "Descending; change to ascending"
+      : "Ascending; change to descending";
     this.direction.setAttribute("aria-label", label);
     this.direction.title = label;
     this.direction.disabled = !sort;
@@ -84,19 +108,38 @@ export class Bar {
         () => this.address.choose(name, []),
       ]),
       ...Object.entries(ranges).map(([name, [low, high]]) => [
-        `${this.label(name)}: ${span(low, high)}`, () => this.address.bound(name, null, null),
+        `${this.label(name)}: ${span(low, high)}`,
+        () => this.address.bound(name, null, null),
       ]),
     ];
-    if (where) chips.push([where, () => { this.where.value = ""; this.address.select({ where: "" }); }]);
+    if (where)
+      chips.push([
+        where,
+        () => {
+          this.where.value = "";
+          this.address.select({ where: "" });
+        },
+      ]);
     this.chips.hidden = !chips.length;
-    const clear = button("Clear all", () => {
-      this.where.value = "";
-      this.address.select({ facets: {}, ranges: {}, where: "" });
-    }, { class: "clear" });
-    this.chips.replaceChildren(...chips.map(([text, remove]) => h(
-      "span", { class: "chip" }, h("span", { class: "words", text, title: text }),
-      button("×", remove, { label: `Remove ${text}` }),
-    )), ...(chips.length > 1 ? [clear] : []));
+    const clear = button(
+      "Clear all",
+      () => {
+        this.where.value = "";
+        this.address.select({ facets: {}, ranges: {}, where: "" });
+      },
+      { class: "clear" },
+    );
+    this.chips.replaceChildren(
+      ...chips.map(([text, remove]) =>
+        h(
+          "span",
+          { class: "chip" },
+          h("span", { class: "words", text, title: text }),
+          button("×", remove, { label: `Remove ${text}` }),
+        ),
+      ),
+      ...(chips.length > 1 ? [clear] : []),
+    );
   }
 
   label(name) {

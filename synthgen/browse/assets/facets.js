@@ -33,7 +33,8 @@ export class Facets {
       const parts = members.map((column) => this.part(column));
       const chosen = members.some((c) => c.name in facets || c.name in ranges);
       const details = h(
-        "details", { class: "group", open: i < OPEN || chosen, ontoggle: () => this.onopen() },
+        "details",
+        { class: "group", open: i < OPEN || chosen, ontoggle: () => this.onopen() },
         h("summary", {}, h("span", { text: name }), h("span", { class: "chosen" })),
         ...parts,
       );
@@ -45,12 +46,15 @@ export class Facets {
 
   part(column) {
     const heading = h("h3", { text: column.label || column.name });
-    const part = column.kind === "range"
-      ? new Histogram(column.label || column.name, (low, high) =>
-        this.address.bound(column.name, low, high))
-      : new Values(column, this.address);
-    this.parts.set(column.name, part);
-    return h("section", { class: "facet" }, heading, part.element);
+    const part =
+      column.kind === "range"
+        ? new Histogram(column.label || column.name, (low, high) =>
+            this.address.bound(column.name, low, high),
+          )
+        : new Values(column, this.address);
+    const section = h("section", { class: "facet" }, heading, part.element);
+    this.parts.set(column.name, { show: (...found) => part.show(...found), section });
+    return section;
   }
 
   /** Columns of the groups that are open. */
@@ -72,11 +76,17 @@ export class Facets {
     this.problem.hidden = true;
     this.element.classList.remove("stale");
     const { facets, ranges } = this.address.selection;
-    for (const [name, values] of Object.entries(counts.facets ?? {})) {
-      this.parts.get(name)?.show(values, facets[name] ?? []);
+    for (const [name, values] of Object.entries(counts.facets)) {
+      const chosen = facets[name] ?? [];
+      const { show, section } = this.parts.get(name);
+      show(values, chosen);
+      section.hidden = !values.length && !chosen.length;
     }
-    for (const [name, histogram] of Object.entries(counts.histograms ?? {})) {
-      this.parts.get(name)?.show(histogram, ranges[name] ?? [null, null]);
+    for (const [name, histogram] of Object.entries(counts.histograms)) {
+      const { show, section } = this.parts.get(name);
+      show(histogram, ranges[name] ?? [null, null]);
+      // A column without a single value is no filter.
+      section.hidden = !histogram.edges.length;
     }
     for (const { details, members } of this.groups) {
       const chosen = members.filter((c) => c.name in facets || c.name in ranges).length;
@@ -92,8 +102,17 @@ class Values {
     this.address = address;
     this.lines = new Map();
     this.all = false;
-    this.list = h("div", { class: "values", role: "group", "aria-label": column.label || column.name });
-    this.more = h("button", { type: "button", class: "more", hidden: true, onclick: () => this.toggle() });
+    this.list = h("div", {
+      class: "values",
+      role: "group",
+      "aria-label": column.label || column.name,
+    });
+    this.more = h("button", {
+      type: "button",
+      class: "more",
+      hidden: true,
+      onclick: () => this.toggle(),
+    });
     this.element = h("div", {}, this.list, this.more);
   }
 
@@ -114,7 +133,8 @@ class Values {
     });
     // Moved only where the order has changed: a moved element loses the focus.
     wanted.forEach((element, i) => {
-      if (this.list.children[i] !== element) this.list.insertBefore(element, this.list.children[i] ?? null);
+      if (this.list.children[i] !== element)
+        this.list.insertBefore(element, this.list.children[i] ?? null);
     });
     while (this.list.children.length > wanted.length) this.list.lastChild.remove();
     this.more.hidden = ordered.length <= SHOWN;
@@ -124,12 +144,18 @@ class Values {
   line(value) {
     const key = JSON.stringify(value);
     if (!this.lines.has(key)) {
-      const box = h("input", { type: "checkbox", onchange: () => this.changed(value, box.checked) });
+      const box = h("input", {
+        type: "checkbox",
+        onchange: () => this.changed(value, box.checked),
+      });
       const count = h("span", { class: "number" });
       const text = value === null ? "none" : value === "" ? "(empty)" : String(value);
       const element = h(
-        "label", { class: value === null ? "value null" : "value" },
-        box, h("span", { class: "name", text, title: text }), count,
+        "label",
+        { class: value === null ? "value null" : "value" },
+        box,
+        h("span", { class: "name", text, title: text }),
+        count,
       );
       this.lines.set(key, { element, box, count });
     }
@@ -137,7 +163,9 @@ class Values {
   }
 
   changed(value, checked) {
-    const chosen = (this.address.selection.facets[this.column.name] ?? []).filter((v) => v !== value);
+    const chosen = (this.address.selection.facets[this.column.name] ?? []).filter(
+      (v) => v !== value,
+    );
     this.address.choose(this.column.name, checked ? [...chosen, value] : chosen);
   }
 

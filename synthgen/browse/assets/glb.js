@@ -13,8 +13,11 @@ const WIDTHS = { SCALAR: 1, VEC2: 2, VEC3: 3, VEC4: 4 };
  */
 export function readGlb(buffer) {
   const view = new DataView(buffer);
-  if (buffer.byteLength < 20 || view.getUint32(0, true) !== MAGIC
-    || view.getUint32(16, true) !== JSON_CHUNK) {
+  if (
+    buffer.byteLength < 20 ||
+    view.getUint32(0, true) !== MAGIC ||
+    view.getUint32(16, true) !== JSON_CHUNK
+  ) {
     throw new Error("The subject's mesh is no binary glTF file.");
   }
   const length = view.getUint32(12, true);
@@ -55,9 +58,10 @@ function read(gltf, buffer, start, { attributes, indices }, m) {
     const found = accessor(gltf, buffer, start, attributes.COLOR_0);
     if (found instanceof Uint8Array && found.length === 4 * count) colours = found;
   }
-  const order = indices === undefined
-    ? Uint32Array.from({ length: count }, (_, i) => i)
-    : Uint32Array.from(accessor(gltf, buffer, start, indices));
+  const order =
+    indices === undefined
+      ? Uint32Array.from({ length: count }, (_, i) => i)
+      : Uint32Array.from(accessor(gltf, buffer, start, indices));
   return { positions, colours, indices: order };
 }
 
@@ -65,7 +69,8 @@ function accessor(gltf, buffer, start, index) {
   const { componentType, count, type, bufferView, byteOffset = 0 } = gltf.accessors[index];
   const view = gltf.bufferViews[bufferView];
   const Kind = ARRAYS[componentType];
-  if (!Kind || view.byteStride) throw new Error("The subject's mesh is laid out in an unknown way.");
+  if (!Kind || view.byteStride)
+    throw new Error("The subject's mesh is laid out in an unknown way.");
   const from = start + (view.byteOffset ?? 0) + byteOffset;
   const size = count * WIDTHS[type] * Kind.BYTES_PER_ELEMENT;
   return new Kind(buffer.slice(from, from + size));

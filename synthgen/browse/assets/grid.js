@@ -4,14 +4,12 @@
 // `TALLEST` pixels: small steps move the list by as much, jumps (the scrollbar dragged, Home, End)
 // move it in proportion, and when the scrolling rests the page is put where the list stands.
 
-import { ask, path, query } from "./api.js";
+import { CAPTION, Cell, GAP } from "./cell.js";
 import { h } from "./dom.js";
 
 const TALLEST = 6_000_000;
 const BLOCK = 100;
 const KEPT_BLOCKS = 200;
-const CAPTION = 22;
-const GAP = 6;
 
 export class Grid {
   /**
@@ -29,8 +27,11 @@ export class Grid {
     this.empty = h("div", { class: "notice", hidden: true });
     element.append(this.canvas, this.empty);
     for (const [name, value] of Object.entries({
-      tabindex: "0", role: "listbox", "aria-label": "Shots",
-    })) element.setAttribute(name, value);
+      tabindex: "0",
+      role: "listbox",
+      "aria-label": "Shots",
+    }))
+      element.setAttribute(name, value);
     element.addEventListener("scroll", () => this.scrolled(), { passive: true });
     element.addEventListener("keydown", (event) => this.key(event));
     this.forget();
@@ -133,7 +134,10 @@ export class Grid {
         ? Math.max(0, Math.min(last, this.top + step))
         : (Math.min(scrollTop, end) / end) * last;
       clearTimeout(this.rest);
-      this.rest = setTimeout(() => { this.settle(); this.draw(); }, 200);
+      this.rest = setTimeout(() => {
+        this.settle();
+        this.draw();
+      }, 200);
     }
     this.fast = Math.abs(step) > view;
     cancelAnimationFrame(this.frame);
@@ -233,9 +237,14 @@ export class Grid {
   key(event) {
     const rows = Math.max(1, Math.floor(this.element.clientHeight / this.pitch));
     const steps = {
-      ArrowRight: 1, ArrowLeft: -1, ArrowDown: this.columns, ArrowUp: -this.columns,
-      PageDown: rows * this.columns, PageUp: -rows * this.columns,
-      Home: -Infinity, End: Infinity,
+      ArrowRight: 1,
+      ArrowLeft: -1,
+      ArrowDown: this.columns,
+      ArrowUp: -this.columns,
+      PageDown: rows * this.columns,
+      PageUp: -rows * this.columns,
+      Home: -Infinity,
+      End: Infinity,
     };
     if (event.ctrlKey || event.metaKey || event.altKey || !this.total) return;
     if (event.key === "Enter") {
@@ -267,99 +276,5 @@ export class Grid {
     const active = this.cells.get(this.active);
     if (active) this.element.setAttribute("aria-activedescendant", active.element.id);
     else this.element.removeAttribute("aria-activedescendant");
-  }
-}
-
-/** One shot's place in the grid. */
-class Cell {
-  constructor(grid, index) {
-    this.grid = grid;
-    this.index = index;
-    this.image = h("img", { alt: "", draggable: "false" });
-    this.text = h("span", { class: "words" });
-    this.value = h("span", { class: "sorted" });
-    this.element = h(
-      "a",
-      {
-        class: "cell", id: `cell-${index}`, role: "option", tabindex: "-1",
-        "aria-posinset": String(index + 1),
-        onclick: (event) => this.clicked(event),
-      },
-      h("span", { class: "picture" }, this.image),
-      h("span", { class: "caption" }, this.text, this.value),
-    );
-  }
-
-  clicked(event) {
-    // With a modifier the browser opens a tab of its own.
-    if (event.ctrlKey || event.metaKey || event.shiftKey || !this.row) return;
-    event.preventDefault();
-    this.grid.active = this.index;
-    this.grid.calls.open(this.row, this.index);
-  }
-
-  place({ columns, cell, pitch, edge, total }, shift) {
-    const x = edge + (this.index % columns) * (cell + GAP);
-    const y = Math.floor(this.index / columns) * pitch + shift;
-    const { style } = this.element;
-    style.transform = `translate(${x}px, ${y}px)`;
-    style.width = `${cell}px`;
-    style.height = `${cell + CAPTION}px`;
-    this.element.setAttribute("aria-setsize", String(total ?? -1));
-  }
-
-  show(row) {
-    if (!row || row === this.row) return;
-    this.row = row;
-    const { calls } = this.grid;
-    this.element.setAttribute("href", calls.href(row, this.index));
-    const { label, text, value } = calls.caption(row);
-    this.element.setAttribute("aria-label", label);
-    this.text.textContent = text;
-    this.value.textContent = value;
-    this.load();
-  }
-
-  async load() {
-    const { row, grid } = this;
-    const reason = row.broken ?? (row.failed ? row.reason || "failed" : null);
-    if (reason) return this.broken(reason);
-    this.request = new AbortController();
-    const pixels = Math.ceil(grid.cell * Math.min(devicePixelRatio || 1, 2));
-    const address = path("thumbnail", row.subset, row.key)
-      + query({ environment: grid.calls.environment(row), size: Math.min(480, pixels), revision: grid.calls.revision() });
-    try {
-      const response = await ask(address, { signal: this.request.signal });
-      const why = response.headers.get("X-Broken");
-      if (why !== null) return this.broken(why);
-      const blob = await response.blob();
-      if (this.dropped) return;
-      this.address = URL.createObjectURL(blob);
-      this.image.src = this.address;
-      await this.image.decode();
-      this.element.classList.add("loaded");
-    } catch (error) {
-      if (error.name !== "AbortError" && !this.dropped) this.broken(error.message);
-    }
-  }
-
-  broken(reason) {
-    this.element.classList.add("broken");
-    this.element.setAttribute("aria-label", `${this.grid.calls.caption(this.row).label}, broken: ${reason}`);
-    this.image.replaceWith(
-      h("span", { class: "reason" }, h("b", { text: "Broken" }), h("span", { text: reason })),
-    );
-  }
-
-  /** Takes the cell off the page and stops what it waits for. */
-  drop() {
-    this.dropped = true;
-    this.request?.abort();
-    this.element.remove();
-    if (this.address) URL.revokeObjectURL(this.address);
-  }
-
-  remove() {
-    this.drop();
   }
 }

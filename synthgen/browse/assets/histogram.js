@@ -11,25 +11,40 @@ export class Histogram {
     this.onrange = onrange;
     this.range = [null, null];
     this.bars = svg("g", { class: "bars" });
-    this.brush = svg("rect", { class: "brush", y: "0", height: String(HEIGHT), visibility: "hidden" });
+    this.brush = svg("rect", {
+      class: "brush",
+      y: "0",
+      height: String(HEIGHT),
+      visibility: "hidden",
+    });
     this.plot = svg(
       "svg",
       {
-        class: "histogram", viewBox: `0 0 ${WIDTH} ${HEIGHT}`, preserveAspectRatio: "none",
-        role: "img", "aria-label": `Histogram of ${label}; drag to choose a range`,
+        class: "histogram",
+        viewBox: `0 0 ${WIDTH} ${HEIGHT}`,
+        preserveAspectRatio: "none",
+        role: "img",
+        "aria-label": `Histogram of ${label}; drag to choose a range`,
         onpointerdown: (event) => this.start(event),
         onpointermove: (event) => this.move(event),
         onpointerup: (event) => this.end(event),
       },
-      this.bars, this.brush,
+      this.bars,
+      this.brush,
     );
-    const field = (name, at) => h("input", {
-      type: "number", step: "any", inputmode: "decimal", "aria-label": `${label}, ${name}`,
-      onchange: (event) => this.typed(at, event.target),
-    });
+    const field = (name, at) =>
+      h("input", {
+        type: "number",
+        step: "any",
+        inputmode: "decimal",
+        "aria-label": `${label}, ${name}`,
+        onchange: (event) => this.typed(at, event.target),
+      });
     this.fields = [field("from", 0), field("to", 1)];
     this.element = h(
-      "div", { class: "range" }, this.plot,
+      "div",
+      { class: "range" },
+      this.plot,
       h("div", { class: "bounds" }, this.fields[0], h("span", { text: "–" }), this.fields[1]),
     );
   }
@@ -41,20 +56,25 @@ export class Histogram {
     const [first, last] = this.ends();
     const most = Math.max(1, ...counts);
     const step = WIDTH / Math.max(1, counts.length);
-    this.bars.replaceChildren(...counts.map((count, i) => {
-      // A square root lets the tails be seen.
-      const height = count ? Math.max(1.5, Math.sqrt(count / most) * (HEIGHT - 2)) : 0;
-      const middle = (edges[i] + edges[i + 1]) / 2;
-      const inside = (low === null || middle >= low) && (high === null || middle <= high);
-      return svg(
-        "rect",
-        {
-          x: String(i * step), width: String(Math.max(0.5, step - 1)),
-          y: String(HEIGHT - height), height: String(height), class: inside ? "in" : "out",
-        },
-        svg("title", { text: `${number(edges[i])} – ${number(edges[i + 1])}: ${number(count)}` }),
-      );
-    }));
+    this.bars.replaceChildren(
+      ...counts.map((count, i) => {
+        // A square root lets the tails be seen.
+        const height = count ? Math.max(1.5, Math.sqrt(count / most) * (HEIGHT - 2)) : 0;
+        const middle = (edges[i] + edges[i + 1]) / 2;
+        const inside = (low === null || middle >= low) && (high === null || middle <= high);
+        return svg(
+          "rect",
+          {
+            x: String(i * step),
+            width: String(Math.max(0.5, step - 1)),
+            y: String(HEIGHT - height),
+            height: String(height),
+            class: inside ? "in" : "out",
+          },
+          svg("title", { text: `${number(edges[i])} – ${number(edges[i + 1])}: ${number(count)}` }),
+        );
+      }),
+    );
     const bounds = [first, last];
     this.fields.forEach((field, i) => {
       field.placeholder = bounds[i] === undefined ? "" : number(bounds[i]);

@@ -19,11 +19,16 @@ const KEYS = [
 export function listen(help, calls) {
   help.append(
     h("h2", { text: "Keyboard" }),
-    h("dl", {}, ...KEYS.flatMap(([keys, text]) => [h("dt", {}, h("kbd", { text: keys })), h("dd", { text })])),
+    h(
+      "dl",
+      {},
+      ...KEYS.flatMap(([keys, text]) => [h("dt", {}, h("kbd", { text: keys })), h("dd", { text })]),
+    ),
     button("Close", () => help.close()),
   );
   addEventListener("keydown", (event) => {
-    if (event.ctrlKey || event.metaKey || event.altKey || event.defaultPrevented || help.open) return;
+    if (event.ctrlKey || event.metaKey || event.altKey || event.defaultPrevented || help.open)
+      return;
     const field = event.target.closest?.("input, select, textarea");
     const writing = field && field.type !== "checkbox" && field.type !== "range";
     if (event.key === "Escape") {

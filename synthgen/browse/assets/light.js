@@ -1,12 +1,9 @@
 // The panel of light that can be moved: the shaded canvas beside the rendered picture.
 
 import { ask, askArray, path, query } from "./api.js";
-import { button, h, slider } from "./dom.js";
-import { SHININESS, Shading } from "./shading.js";
-
-// Skin without its fine structure; only a start for the sliders.
-const START = { diffuse: 1, specular: [0, 0.02, 0.01, 0] };
-const DEGREE = Math.PI / 180;
+import { Dials } from "./dials.js";
+import { button, h } from "./dom.js";
+import { Shading } from "./shading.js";
 
 export class LightPanel {
   /**
@@ -18,31 +15,47 @@ export class LightPanel {
   constructor(shot, pictures, catalogue, environment) {
     this.shot = shot;
     this.pictures = pictures;
-    this.settings = { angle: 0, exposure: 1, ...structuredClone(START), filtered: true, backdrop: false };
+    this.dials = new Dials(() => this.draw());
     this.own = null;
     this.canvas = h("canvas", {
-      class: "light", tabindex: "0", role: "img",
+      class: "light",
+      tabindex: "0",
+      role: "img",
       "aria-label": "Shaded with the environment's light; drag or use the arrow keys to turn it",
       onpointerdown: (event) => this.grab(event),
       onpointermove: (event) => this.pull(event),
-      onpointerup: () => { this.held = null; },
-      onpointerleave: () => { this.reading.textContent = ""; },
+      onpointerup: () => {
+        this.held = null;
+      },
+      onpointerleave: () => {
+        this.reading.textContent = "";
+      },
       onkeydown: (event) => this.key(event),
     });
     this.rendered = h("img", { alt: "As rendered" });
+    this.waiting = h("p", { class: "waiting", text: "Baking the light…" });
     this.reading = h("output", { class: "reading number" });
     this.problem = h("p", { class: "problem", role: "alert", hidden: true });
     this.element = h(
       "section",
       {
-        class: "panel lightpanel", "aria-label": "Light",
-        ondragover: (event) => this.over(event), ondragleave: () => this.out(),
+        class: "panel lightpanel",
+        "aria-label": "Light",
+        ondragover: (event) => this.over(event),
+        ondragleave: () => this.out(),
         ondrop: (event) => this.drop(event),
       },
       h("h2", { text: "Light" }),
       h(
-        "div", { class: "pair" },
-        h("figure", {}, this.canvas, h("figcaption", {}, h("span", { text: "Shaded live" }), this.reading)),
+        "div",
+        { class: "pair" },
+        h(
+          "figure",
+          {},
+          this.canvas,
+          this.waiting,
+          h("figcaption", {}, h("span", { text: "Shaded live" }), this.reading),
+        ),
         h("figure", {}, this.rendered, h("figcaption", { text: "As rendered" })),
       ),
       this.problem,
@@ -56,49 +69,30 @@ export class LightPanel {
     const mine = environments.map((use, i) => h("option", { value: `shot:${i}`, text: use.id }));
     const others = catalogue.filter(({ id }) => !environments.some((use) => use.id === id));
     this.select = h(
-      "select", { "aria-label": "Environment", onchange: () => this.chosen() },
+      "select",
+      { "aria-label": "Environment", onchange: () => this.chosen() },
       h("optgroup", { label: "Of this shot" }, ...mine),
       others.length
-        ? h("optgroup", { label: "Of the dataset" },
-          ...others.map(({ id }) => h("option", { value: `other:${id}`, text: id })))
+        ? h(
+            "optgroup",
+            { label: "Of the dataset" },
+            ...others.map(({ id }) => h("option", { value: `other:${id}`, text: id })),
+          )
         : null,
     );
     this.file = h("input", {
-      type: "file", accept: ".exr,.hdr", class: "hidden", "aria-label": "Panorama file",
+      type: "file",
+      accept: ".exr,.hdr",
+      class: "hidden",
+      "aria-label": "Panorama file",
       onchange: () => this.file.files[0] && this.upload(this.file.files[0]),
     });
-    const scalar = (label, name, min, max, step, write, to = (v) => v) => slider(label, {
-      min, max, step, value: 0, write,
-      oninput: (value) => { this.settings[name] = to(value); this.draw(); },
-    });
-    const plain = (value) => value.toFixed(2);
-    this.angle = slider("Rotation", {
-      min: -180, max: 180, step: 1, value: 0, write: (v) => `${Math.round(v)}°`,
-      oninput: (value) => { this.settings.angle = this.rotation + value * DEGREE; this.draw(); },
-    });
-    this.exposure = scalar("Exposure", "exposure", -4, 4, 0.1, (v) => `${v >= 0 ? "+" : "−"}${Math.abs(v).toFixed(1)} stops`,
-      (stops) => this.factor * 2 ** stops);
-    this.diffuse = scalar("Diffuse k_d", "diffuse", 0, 2, 0.01, plain);
-    this.specular = SHININESS.map((exponent, i) => slider(`Specular k_s ${exponent}`, {
-      min: 0, max: 0.5, step: 0.005, value: START.specular[i], write: (v) => v.toFixed(3),
-      oninput: (value) => { this.settings.specular[i] = value; this.draw(); },
-    }));
-    const check = (label, name, title) => h("label", { class: "check", title },
-      h("input", {
-        type: "checkbox", checked: this.settings[name],
-        onchange: (event) => { this.settings[name] = event.target.checked; this.draw(); },
-      }), h("span", { text: label }));
+    const open = button("Open .exr or .hdr…", () => this.file.click());
     return h(
-      "div", { class: "controls" },
-      h(
-        "div", { class: "row" }, this.select,
-        button("Open .exr or .hdr…", () => this.file.click()), this.file,
-        check("Pixel filter", "filtered", "Labels are one sample a pixel; a camera's picture is not"),
-        check("Blurred backdrop", "backdrop", "What is behind, as the sharpest lightmap has it"),
-        button("Reset", () => this.reset()),
-      ),
-      this.angle.element, this.exposure.element, this.diffuse.element,
-      ...this.specular.map((part) => part.element),
+      "div",
+      { class: "controls" },
+      h("div", { class: "row" }, this.select, open, this.file, ...this.dials.switches),
+      ...this.dials.elements,
     );
   }
 
@@ -126,10 +120,8 @@ export class LightPanel {
     const use = this.shot.environments[e];
     this.select.value = `shot:${e}`;
     this.rendered.src = this.pictures(e);
-    this.rotation = use.rotation;
-    this.factor = use.factor;
     await this.load(use.id);
-    this.reset();
+    this.dials.base(use.rotation, use.factor);
   }
 
   async chosen() {
@@ -167,30 +159,18 @@ export class LightPanel {
       // Of a foreign panorama nobody knows the exposure: its mean light becomes middle grey's.
       const plane = this.own.data.subarray(0, this.own.data.length / 5);
       const mean = plane.reduce((sum, v) => sum + v, 0) / plane.length;
-      this.rotation = 0;
-      this.factor = mean > 0 ? 0.5 / mean : 1;
       this.light(this.own);
-      this.reset();
+      this.dials.base(0, mean > 0 ? 0.5 / mean : 1);
     } catch (error) {
       this.fail(error);
     }
   }
 
-  reset() {
-    Object.assign(this.settings, structuredClone(START), {
-      angle: this.rotation, exposure: this.factor,
-    });
-    this.angle.set(0);
-    this.exposure.set(0);
-    this.diffuse.set(START.diffuse);
-    this.specular.forEach((part, i) => part.set(START.specular[i]));
-    this.draw();
-  }
-
   draw() {
     cancelAnimationFrame(this.frame);
     this.frame = requestAnimationFrame(() => {
-      if (this.shading?.draw(this.settings)) {
+      if (this.shading?.draw(this.dials.settings)) {
+        this.waiting.hidden = true;
         this.canvas.dataset.drawn = String(Number(this.canvas.dataset.drawn ?? 0) + 1);
       }
     });
@@ -198,7 +178,7 @@ export class LightPanel {
 
   grab(event) {
     this.canvas.setPointerCapture(event.pointerId);
-    this.held = { x: event.clientX, turn: Number(this.angle.input.value) };
+    this.held = { x: event.clientX, turn: this.dials.degrees };
   }
 
   pull(event) {
@@ -206,7 +186,7 @@ export class LightPanel {
     if (this.held) {
       // What lies behind the subject follows the pointer: the width of the canvas is half a turn.
       const turn = this.held.turn - ((event.clientX - this.held.x) / box.width) * 180;
-      return this.turn(turn);
+      return this.dials.turn(turn);
     }
     const x = Math.floor(((event.clientX - box.left) / box.width) * this.canvas.width);
     const y = Math.floor(((event.clientY - box.top) / box.height) * this.canvas.height);
@@ -215,19 +195,12 @@ export class LightPanel {
     this.reading.textContent = found ? `linear ${found.map((v) => v.toFixed(3)).join(" ")}` : "";
   }
 
-  turn(degrees) {
-    const wrapped = ((((degrees + 180) % 360) + 360) % 360) - 180;
-    this.angle.set(wrapped);
-    this.settings.angle = this.rotation + Number(this.angle.input.value) * DEGREE;
-    this.draw();
-  }
-
   key(event) {
     const step = { ArrowLeft: 5, ArrowRight: -5 }[event.key];
     if (!step) return;
     event.preventDefault();
     event.stopPropagation();
-    this.turn(Number(this.angle.input.value) + step);
+    this.dials.turn(this.dials.degrees + step);
   }
 
   over(event) {
@@ -246,6 +219,7 @@ export class LightPanel {
   }
 
   fail(error) {
+    this.waiting.hidden = true;
     this.problem.textContent = error.message;
     this.problem.hidden = false;
   }

@@ -20,15 +20,19 @@ let view = null;
 let counting = null;
 
 const grid = new Grid(part("grid"), {
-  rows: (offset, limit, signal) => askJson(
-    "/api/shots" + query({ ...parameters(address.selection), offset, limit }), { signal },
-  ),
+  rows: (offset, limit, signal) =>
+    askJson("/api/shots" + query({ ...parameters(address.selection), offset, limit }), { signal }),
   open: (row, index) => address.show("shot", row.subset, row.key, { at: String(index) }),
   href: (row, index) => address.href("shot", row.subset, row.key, { at: String(index) }),
   environment: (row) => {
-    const wanted = Object.entries(address.selection.facets)
-      .find(([name]) => name.startsWith("environment"))?.[1] ?? [];
-    return Math.max(0, (row.environments ?? []).findIndex((id) => wanted.includes(id)));
+    const wanted =
+      Object.entries(address.selection.facets).find(([name]) =>
+        name.startsWith("environment"),
+      )?.[1] ?? [];
+    return Math.max(
+      0,
+      (row.environments ?? []).findIndex((id) => wanted.includes(id)),
+    );
   },
   caption: (row) => {
     const age = row.person_age_years ? `, ${Math.round(row.person_age_years)} years` : "";
@@ -42,9 +46,12 @@ const grid = new Grid(part("grid"), {
     bar.say(null);
     if (total) return;
     const title = dataset.shots ? "Nothing is like that" : "No shots yet";
-    grid.notice(title, dataset.shots
-      ? "No shot of this dataset meets all conditions. Take one away."
-      : "The dataset is being rendered; its shots appear here as they are finished.");
+    grid.notice(
+      title,
+      dataset.shots
+        ? "No shot of this dataset meets all conditions. Take one away."
+        : "The dataset is being rendered; its shots appear here as they are finished.",
+    );
   },
   failed: (error) => {
     bar.say(error.message);
@@ -65,10 +72,12 @@ async function count() {
   const columns = facets.wanted();
   if (!columns.length) return;
   try {
-    facets.show(await askJson(
-      "/api/counts" + query({ ...parameters(address.selection), columns: columns.join(",") }),
-      { signal: counting.signal },
-    ));
+    facets.show(
+      await askJson(
+        "/api/counts" + query({ ...parameters(address.selection), columns: columns.join(",") }),
+        { signal: counting.signal },
+      ),
+    );
   } catch (error) {
     // Of a wrong condition, 400, the bar speaks.
     if (error.name !== "AbortError" && error.status !== 400) facets.fail(error);
@@ -91,7 +100,9 @@ function open() {
   for (const one of ["bar", "page"]) part(one).hidden = !inGrid;
   part("chips").hidden = !inGrid || !part("chips").childElementCount;
   place.hidden = inGrid;
-  document.title = inGrid ? `${dataset.name} – synthgen browse` : `${subset}/${id} – ${dataset.name}`;
+  document.title = inGrid
+    ? `${dataset.name} – synthgen browse`
+    : `${subset}/${id} – ${dataset.name}`;
   if (inGrid) {
     place.replaceChildren();
     grid.resized();
@@ -100,11 +111,20 @@ function open() {
   }
   place.replaceChildren(h("div", { class: "notice", text: "Reading…" }));
   place.scrollTop = 0;
-  const fail = (error) => place.replaceChildren(
-    h("header", { class: "viewbar" }, button("‹ Grid", () => address.close(), { label: "Back to the grid" })),
-    h("div", { class: "notice", role: "alert" },
-      h("h2", { text: "This could not be shown" }), h("p", { text: error.message })),
-  );
+  const fail = (error) =>
+    place.replaceChildren(
+      h(
+        "header",
+        { class: "viewbar" },
+        button("‹ Grid", () => address.close(), { label: "Back to the grid" }),
+      ),
+      h(
+        "div",
+        { class: "notice", role: "alert" },
+        h("h2", { text: "This could not be shown" }),
+        h("p", { text: error.message }),
+      ),
+    );
   if (name === "shot") {
     const neighbour = (index) => grid.row(index);
     view = new ShotView(place, address, dataset, neighbour, fail);
@@ -144,15 +164,25 @@ async function start() {
   try {
     dataset = await askJson("/api/dataset");
   } catch (error) {
-    part("page").replaceChildren(h("div", { class: "notice", role: "alert" },
-      h("h2", { text: "The dataset could not be opened" }), h("p", { text: error.message }),
-      button("Try again", () => location.reload())));
+    part("page").replaceChildren(
+      h(
+        "div",
+        { class: "notice", role: "alert" },
+        h("h2", { text: "The dataset could not be opened" }),
+        h("p", { text: error.message }),
+        button("Try again", () => location.reload()),
+      ),
+    );
     return;
   }
   bar.build(dataset);
   facets.build(dataset.columns);
   listen(part("help"), {
-    search: () => { address.close(); bar.where.focus(); bar.where.select(); },
+    search: () => {
+      address.close();
+      bar.where.focus();
+      bar.where.select();
+    },
     close: () => {
       if (part("page").classList.contains("filtering")) bar.filter(false);
       else address.close();

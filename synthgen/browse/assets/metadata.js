@@ -7,8 +7,10 @@ export function metadata(meta) {
   const simple = Object.entries(meta).filter(([, value]) => !isTree(value));
   const trees = Object.entries(meta).filter(([, value]) => isTree(value));
   return h(
-    "section", { class: "panel", "aria-label": "Metadata" },
-    h("h2", { text: "Metadata" }), table(simple),
+    "section",
+    { class: "panel", "aria-label": "Metadata" },
+    h("h2", { text: "Metadata" }),
+    table(simple),
     ...trees.map(([name, value]) => branch(name, value)),
   );
 }
@@ -16,13 +18,21 @@ export function metadata(meta) {
 /** Members of a shot as downloads, by name and size. */
 export function members(list) {
   return h(
-    "section", { class: "panel", "aria-label": "Files" },
+    "section",
+    { class: "panel", "aria-label": "Files" },
     h("h2", { text: "Files" }),
-    h("ul", { class: "members" }, ...list.map(({ name, bytes: size, url }) => h(
-      "li", {},
-      h("a", { href: local(url), download: name, text: name }),
-      h("span", { class: "number", text: bytes(size) }),
-    ))),
+    h(
+      "ul",
+      { class: "members" },
+      ...list.map(({ name, bytes: size, url }) =>
+        h(
+          "li",
+          {},
+          h("a", { href: local(url), download: name, text: name }),
+          h("span", { class: "number", text: bytes(size) }),
+        ),
+      ),
+    ),
   );
 }
 
@@ -37,13 +47,20 @@ function isTree(value) {
 }
 
 function isShort(value) {
-  return Array.isArray(value) && value.length <= 4 && value.every((v) => v === null || typeof v !== "object");
+  return (
+    Array.isArray(value) &&
+    value.length <= 4 &&
+    value.every((v) => v === null || typeof v !== "object")
+  );
 }
 
 function branch(name, value) {
   const size = Array.isArray(value) ? value.length : Object.keys(value).length;
-  const details = h("details", { class: "branch" },
-    h("summary", {}, h("span", { text: name }), h("span", { class: "number", text: String(size) })));
+  const details = h(
+    "details",
+    { class: "branch" },
+    h("summary", {}, h("span", { text: name }), h("span", { class: "number", text: String(size) })),
+  );
   // Filled when it is opened: a shot records some thousand numbers.
   details.addEventListener("toggle", () => {
     if (!details.open || details.children.length > 1) return;
@@ -57,9 +74,14 @@ function branch(name, value) {
 }
 
 function table(entries) {
-  return h("dl", { class: "table" }, ...entries.flatMap(([name, value]) => [
-    h("dt", { text: name }), h("dd", { class: typeof value === "string" ? "" : "number", text: write(value) }),
-  ]));
+  return h(
+    "dl",
+    { class: "table" },
+    ...entries.flatMap(([name, value]) => [
+      h("dt", { text: name }),
+      h("dd", { class: typeof value === "string" ? "" : "number", text: write(value) }),
+    ]),
+  );
 }
 
 function write(value) {

@@ -1,8 +1,13 @@
 // Reading NumPy's .npz: a zip of .npy arrays, stored or deflated.
 
 const KINDS = {
-  "<f4": Float32Array, "<f8": Float64Array, "|u1": Uint8Array, "|b1": Uint8Array,
-  "<i4": Int32Array, "<u4": Uint32Array, "<i8": BigInt64Array,
+  "<f4": Float32Array,
+  "<f8": Float64Array,
+  "|u1": Uint8Array,
+  "|b1": Uint8Array,
+  "<i4": Int32Array,
+  "<u4": Uint32Array,
+  "<i8": BigInt64Array,
 };
 
 /**
@@ -54,7 +59,8 @@ function readNpy(buffer) {
   const start = wide ? 12 : 10;
   const header = new TextDecoder().decode(new Uint8Array(buffer, start, length));
   const kind = header.match(/'descr':\s*'([^']+)'/)?.[1];
-  const shape = (header.match(/'shape':\s*\(([^)]*)\)/)?.[1] ?? "").match(/\d+/g)?.map(Number) ?? [];
+  const shape =
+    (header.match(/'shape':\s*\(([^)]*)\)/)?.[1] ?? "").match(/\d+/g)?.map(Number) ?? [];
   if (!(kind in KINDS) || /'fortran_order':\s*True/.test(header)) {
     throw new Error(`an array of type ${kind} cannot be read`);
   }

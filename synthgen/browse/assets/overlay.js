@@ -6,8 +6,15 @@ import { readNpz } from "./npz.js";
 
 // iBUG's 68: runs of points that are joined, and whether the last meets the first.
 const LINES = [
-  [0, 16, false], [17, 21, false], [22, 26, false], [27, 30, false], [31, 35, false],
-  [36, 41, true], [42, 47, true], [48, 59, true], [60, 67, true],
+  [0, 16, false],
+  [17, 21, false],
+  [22, 26, false],
+  [27, 30, false],
+  [31, 35, false],
+  [36, 41, true],
+  [42, 47, true],
+  [48, 59, true],
+  [60, 67, true],
 ];
 
 export class Overlay {
@@ -70,19 +77,25 @@ export class Overlay {
   }
 
   wires(context, { points, indices }, line) {
-    const { camera_to_world: axes, intrinsics: [[fx, , cx], [, fy, cy]] } = this.shot.meta.camera;
+    const {
+      camera_to_world: axes,
+      intrinsics: [[fx, , cx], [, fy, cy]],
+    } = this.shot.meta.camera;
     const flat = new Float32Array((points.length / 3) * 2);
     for (let i = 0; 3 * i < points.length; i++) {
       const d = [0, 1, 2].map((k) => points[3 * i + k] - axes[k][3]);
-      const [x, y, z] = [0, 1, 2].map((j) => d[0] * axes[0][j] + d[1] * axes[1][j] + d[2] * axes[2][j]);
+      const [x, y, z] = [0, 1, 2].map(
+        (j) => d[0] * axes[0][j] + d[1] * axes[1][j] + d[2] * axes[2][j],
+      );
       flat[2 * i] = cx - (fx * x) / z;
       flat[2 * i + 1] = cy + (fy * y) / z;
     }
     context.beginPath();
     for (let i = 0; i < indices.length; i += 3) {
       const [a, b, c] = [indices[i], indices[i + 1], indices[i + 2]].map((v) => 2 * v);
-      const area = (flat[b] - flat[a]) * (flat[c + 1] - flat[a + 1])
-        - (flat[c] - flat[a]) * (flat[b + 1] - flat[a + 1]);
+      const area =
+        (flat[b] - flat[a]) * (flat[c + 1] - flat[a + 1]) -
+        (flat[c] - flat[a]) * (flat[b + 1] - flat[a + 1]);
       if (area > 0) continue; // faces away; y runs down
       context.moveTo(flat[a], flat[a + 1]);
       context.lineTo(flat[b], flat[b + 1]);

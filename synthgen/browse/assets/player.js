@@ -36,12 +36,23 @@ export class Player {
     this.problem = h("p", { class: "problem", role: "alert", hidden: true });
     this.toggle = button("Pause", () => this.play(!this.playing), { class: "primary" });
     this.scrub = slider("Frame", {
-      min: 0, max: this.shots.length - 1, step: 1, value: 0,
+      min: 0,
+      max: this.shots.length - 1,
+      step: 1,
+      value: 0,
       write: (i) => `${i + 1} / ${this.shots.length}`,
-      oninput: (i) => { this.play(false); this.seek(i); },
+      oninput: (i) => {
+        this.play(false);
+        this.seek(i);
+      },
     });
     this.rate = slider("Frames a second", {
-      min: 1, max: 30, step: 1, value: 8, write: (v) => String(v), oninput: () => {},
+      min: 1,
+      max: 30,
+      step: 1,
+      value: 8,
+      write: (v) => String(v),
+      oninput: () => {},
     });
     const light = h(
       "select",
@@ -52,18 +63,42 @@ export class Player {
       ...this.environments.map((use, i) => h("option", { value: String(i), text: use.id })),
     );
     light.value = String(this.environment);
-    const layout = segments("Screens", [[false, "One"], [true, "Wall of all"]], this.wall,
-      (wall) => this.set({ wall }));
+    const layout = segments(
+      "Screens",
+      [
+        [false, "One"],
+        [true, "Wall of all"],
+      ],
+      this.wall,
+      (wall) => this.set({ wall }),
+    );
     const open = button("Open this frame", () => {
       this.address.show("shot", this.subset, this.shots[this.at]);
     });
     this.element.replaceChildren(
-      h("header", { class: "viewbar" },
+      h(
+        "header",
+        { class: "viewbar" },
         button("‹ Grid", () => this.address.close(), { label: "Back to the grid" }),
-        h("h1", { text: `${this.subset}/${id}` }), h("span", { class: "spring" }), open),
-      h("div", { class: "player" }, this.problem, this.screen,
-        h("div", { class: "controls row" }, this.toggle, this.scrub.element, this.rate.element,
-          layout, light)),
+        h("h1", { text: `${this.subset}/${id}` }),
+        h("span", { class: "spring" }),
+        open,
+      ),
+      h(
+        "div",
+        { class: "player" },
+        this.problem,
+        this.screen,
+        h(
+          "div",
+          { class: "controls row" },
+          this.toggle,
+          this.scrub.element,
+          this.rate.element,
+          layout,
+          light,
+        ),
+      ),
     );
   }
 
@@ -79,30 +114,35 @@ export class Player {
     this.shown = this.wall ? this.environments.map((_, e) => e) : [this.environment];
     this.pictures = this.shown.map((e) => h("img", { alt: `Under ${this.environments[e].id}` }));
     this.screen.style.setProperty("--count", String(this.shown.length));
-    this.screen.replaceChildren(...this.shown.map((e, i) => h(
-      "figure", {}, this.pictures[i], h("figcaption", { text: this.environments[e].id }),
-    )));
+    this.screen.replaceChildren(
+      ...this.shown.map((e, i) =>
+        h("figure", {}, this.pictures[i], h("figcaption", { text: this.environments[e].id })),
+      ),
+    );
   }
 
   /** Fetches all frames of the screens shown, so that the clip does not stutter. */
   async load() {
     const { shown } = this;
     this.frames ??= new Map();
-    const wanted = this.shots.flatMap((_, i) => shown.map((e) => [i, e]))
+    const wanted = this.shots
+      .flatMap((_, i) => shown.map((e) => [i, e]))
       .filter(([i, e]) => !this.frames.has(`${i} ${e}`));
     this.element.dataset.loaded = "no";
-    await Promise.all(wanted.map(async ([i, e]) => {
-      const image = new Image();
-      image.src = path("pass", this.subset, this.shots[i], "image") + query({ environment: e });
-      this.frames.set(`${i} ${e}`, image);
-      try {
-        await image.decode();
-      } catch {
-        this.frames.set(`${i} ${e}`, null);
-        this.problem.textContent = `${this.shots[i]} could not be read; the clip goes on without it.`;
-        this.problem.hidden = false;
-      }
-    }));
+    await Promise.all(
+      wanted.map(async ([i, e]) => {
+        const image = new Image();
+        image.src = path("pass", this.subset, this.shots[i], "image") + query({ environment: e });
+        this.frames.set(`${i} ${e}`, image);
+        try {
+          await image.decode();
+        } catch {
+          this.frames.set(`${i} ${e}`, null);
+          this.problem.textContent = `${this.shots[i]} could not be read; it is left out.`;
+          this.problem.hidden = false;
+        }
+      }),
+    );
     this.element.dataset.loaded = "yes";
   }
 
@@ -124,10 +164,13 @@ export class Player {
   }
 
   tick() {
-    this.timer = setTimeout(() => {
-      this.seek((this.at + 1) % this.shots.length);
-      this.tick();
-    }, 1000 / Number(this.rate.input.value));
+    this.timer = setTimeout(
+      () => {
+        this.seek((this.at + 1) % this.shots.length);
+        this.tick();
+      },
+      1000 / Number(this.rate.input.value),
+    );
   }
 
   key(event) {

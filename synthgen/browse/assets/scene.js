@@ -31,7 +31,10 @@ void main() {
 
 export class Scene {
   /** Raises `ShadingError` where WebGL2 cannot be had. */
-  constructor(canvas, gl = canvas.getContext("webgl2", { antialias: true, preserveDrawingBuffer: true })) {
+  constructor(
+    canvas,
+    gl = canvas.getContext("webgl2", { antialias: true, preserveDrawingBuffer: true }),
+  ) {
     if (!gl) throw new Error("This browser offers no WebGL2, which the 3D view needs.");
     this.canvas = canvas;
     this.gl = gl;
@@ -44,14 +47,20 @@ export class Scene {
       canvas.setPointerCapture(event.pointerId);
       this.held = true;
     });
-    canvas.addEventListener("pointerup", () => { this.held = false; });
+    canvas.addEventListener("pointerup", () => {
+      this.held = false;
+    });
     canvas.addEventListener("pointermove", (event) => {
       if (this.held) this.orbit(-event.movementX * 0.008, event.movementY * 0.008);
     });
-    canvas.addEventListener("wheel", (event) => {
-      event.preventDefault();
-      this.zoom(Math.exp(event.deltaY * 0.001));
-    }, { passive: false });
+    canvas.addEventListener(
+      "wheel",
+      (event) => {
+        event.preventDefault();
+        this.zoom(Math.exp(event.deltaY * 0.001));
+      },
+      { passive: false },
+    );
     canvas.addEventListener("keydown", (event) => this.key(event));
     this.resizing = new ResizeObserver(() => this.draw());
     this.resizing.observe(canvas);
@@ -70,7 +79,10 @@ export class Scene {
 
   key(event) {
     const turns = {
-      ArrowLeft: [-0.1, 0], ArrowRight: [0.1, 0], ArrowUp: [0, 0.1], ArrowDown: [0, -0.1],
+      ArrowLeft: [-0.1, 0],
+      ArrowRight: [0.1, 0],
+      ArrowUp: [0, 0.1],
+      ArrowDown: [0, -0.1],
     };
     if (event.key in turns) this.orbit(...turns[event.key]);
     else if (event.key === "+" || event.key === "=") this.zoom(0.9);
@@ -96,7 +108,13 @@ export class Scene {
 
   add(mode, positions, colours, indices, facing) {
     const { gl } = this;
-    const thing = { mode, count: indices.length, indices, array: gl.createVertexArray(), visible: true };
+    const thing = {
+      mode,
+      count: indices.length,
+      indices,
+      array: gl.createVertexArray(),
+      visible: true,
+    };
     gl.bindVertexArray(thing.array);
     const attribute = (name, data, size, type, scaled) => {
       const buffer = gl.createBuffer();
@@ -134,9 +152,12 @@ export class Scene {
   drawNow() {
     const { gl, canvas } = this;
     const density = Math.min(devicePixelRatio || 1, 2);
-    const [width, height] = [canvas.clientWidth * density, canvas.clientHeight * density].map(Math.round);
+    const [width, height] = [canvas.clientWidth * density, canvas.clientHeight * density].map(
+      Math.round,
+    );
     if (!width || !height) return;
-    if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
+    if (canvas.width !== width || canvas.height !== height)
+      Object.assign(canvas, { width, height });
     gl.viewport(0, 0, width, height);
     gl.clearColor(0, 0, 0, 0);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
@@ -169,9 +190,20 @@ export class Scene {
     const [near, far] = [this.distance * 0.05, this.distance * 20];
     const f = 1 / Math.tan(0.5 * 0.6) / Math.max(1, 1 / aspect);
     const rows = [right, up, back].map((axis) => [...axis, -dot(axis, eye)]);
-    const z = rows[2].map((v, i) => ((far + near) / (near - far)) * v + (i === 3 ? (2 * far * near) / (near - far) : 0));
-    const clip = [rows[0].map((v) => (v * f) / aspect), rows[1].map((v) => v * f), z, rows[2].map((v) => -v)];
-    return { matrix: [0, 1, 2, 3].flatMap((column) => clip.map((row) => row[column])), right, back };
+    const z = rows[2].map(
+      (v, i) => ((far + near) / (near - far)) * v + (i === 3 ? (2 * far * near) / (near - far) : 0),
+    );
+    const clip = [
+      rows[0].map((v) => (v * f) / aspect),
+      rows[1].map((v) => v * f),
+      z,
+      rows[2].map((v) => -v),
+    ];
+    return {
+      matrix: [0, 1, 2, 3].flatMap((column) => clip.map((row) => row[column])),
+      right,
+      back,
+    };
   }
 
   close() {
@@ -184,7 +216,9 @@ export class Scene {
 const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 const unit = (a) => a.map((v) => v / Math.max(1e-12, Math.hypot(...a)));
 const cross = (a, b) => [
-  a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0],
+  a[1] * b[2] - a[2] * b[1],
+  a[2] * b[0] - a[0] * b[2],
+  a[0] * b[1] - a[1] * b[0],
 ];
 
 /** Normals of vertices (3N), not of unit length: the sum of their triangles' area vectors. */

@@ -1,7 +1,7 @@
 // The selection and the view, and the address bar that holds both.
 //
 // The query string is the selection as the server takes it, the fragment the view:
-//     /?facets={"split":["test"]}&ranges={"head_yaw":[null,0]}&sort=key#shot/multiview/s000001_p00?at=12
+//     /?facets={"split":["test"]}&ranges={"head_yaw":[null,0]}#shot/multiview/s000001_p00?at=12
 
 /** What "everything, as it comes" is. */
 export const NOTHING = Object.freeze({

@@ -1,116 +1,9 @@
-// Shading of albedo and normals with lightmaps, in WebGL2, in two passes.
-//
-//     c = D(k_d a s_d(n) + sum_e k_s(e) s_s(e, r)),   r = 2 (n.v) n - v
-//
-// First the linear light of every pixel, into a float picture; then, as wanted, the pixel filter,
-// and D. The numbers are those of totalediting: look-ups as `lightmaps.sample` makes them (bilinear
-// between texel centres, columns wrap, beyond a pole lies the pole's row turned by half a circle),
-// composed as `phong.compose` and shown as `phong.display`. Lightmaps are in their environment's own
-// frame, normals in the camera's; the shader turns directions by Rz(-angle) camera_to_world.
+// Shading of albedo and normals with lightmaps, in WebGL2, in two passes: see shaders.js.
 
+import { LIGHT, SHOW, VERTEX } from "./shaders.js";
 import { surface } from "./surface.js";
 
 export const SHININESS = [1, 16, 32, 64];
-
-const VERTEX = `#version 300 es
-void main() {
-  vec2 corner = vec2((gl_VertexID << 1) & 2, gl_VertexID & 2);
-  gl_Position = vec4(2.0 * corner - 1.0, 0.0, 1.0);
-}`;
-
-const LIGHT = `#version 300 es
-precision highp float;
-precision highp int;
-precision highp sampler2D;
-precision highp sampler2DArray;
-
-uniform sampler2D albedo;      // linear; alpha in w
-uniform sampler2D normal;      // camera space
-uniform sampler2DArray maps;   // diffuse, then specular 1, 16, 32, 64
-uniform vec4 lens;             // focal x, y and centre x, y in pixels, y down
-uniform mat3 turn;             // camera space to the lightmaps' frame
-uniform float exposure;        // linear factor
-uniform float diffuse;
-uniform vec4 specular;
-out vec4 colour;
-
-const float PI = 3.14159265358979;
-
-vec3 texel(int column, int row, int layer) {
-  ivec2 size = textureSize(maps, 0).xy;
-  if (row < 0) { row = -1 - row; column += size.x / 2; }
-  if (row >= size.y) { row = 2 * size.y - 1 - row; column += size.x / 2; }
-  column = ((column % size.x) + size.x) % size.x;
-  return texelFetch(maps, ivec3(column, row, layer), 0).rgb;
-}
-
-vec3 light(vec3 d, int layer) {
-  vec2 size = vec2(textureSize(maps, 0).xy);
-  float ring = length(d.xy);
-  float azimuth = ring == 0.0 ? 0.0 : atan(d.y, d.x);
-  float polar = ring == 0.0 && d.z == 0.0 ? 0.0 : atan(ring, d.z);
-  vec2 place = vec2(0.5 - azimuth / (2.0 * PI), polar / PI) * size - 0.5;
-  vec2 low = floor(place);
-  vec2 part = place - low;
-  ivec2 at = ivec2(low);
-  vec3 upper = mix(texel(at.x, at.y, layer), texel(at.x + 1, at.y, layer), part.x);
-  vec3 lower = mix(texel(at.x, at.y + 1, layer), texel(at.x + 1, at.y + 1, layer), part.x);
-  return mix(upper, lower, part.y);
-}
-
-void main() {
-  ivec2 pixel = ivec2(gl_FragCoord.xy);
-  vec2 centre = gl_FragCoord.xy;
-  vec3 v = normalize(vec3(-(centre.x - lens.z) / lens.x, (centre.y - lens.w) / lens.y, 1.0));
-  vec3 n = texelFetch(normal, pixel, 0).xyz;
-  if (dot(n, n) < 1e-6) {
-    colour = vec4(exposure * light(turn * -v, 4), 0.0); // what is behind, as blurred as that lobe
-    return;
-  }
-  vec3 r = 2.0 * dot(n, v) / dot(n, n) * n - v;
-  vec3 back = turn * r;
-  vec3 shaded = diffuse * texelFetch(albedo, pixel, 0).rgb * light(turn * n, 0);
-  for (int i = 0; i < 4; i++) shaded += specular[i] * light(back, i + 1);
-  colour = vec4(exposure * shaded, 1.0);
-}`;
-
-// Row 0 of all pictures is the upper one; the canvas counts from below.
-const SHOW = `#version 300 es
-precision highp float;
-precision highp int;
-precision highp sampler2D;
-
-uniform sampler2D linear;      // light; whether there is a surface in w
-uniform sampler2D albedo;      // alpha in w
-uniform bool filtered;
-uniform bool backdrop;
-out vec4 colour;
-
-vec3 display(vec3 x) {
-  x = clamp(x, 0.0, 8.0);
-  vec3 bent = 0.8 + log(1.0 + 26.23164050992174 * (max(x, 0.8) - 0.8)) / 26.23164050992174;
-  bent = mix(bent, x, lessThanEqual(x, vec3(0.8)));
-  vec3 power = 1.055 * pow(max(bent, 0.0031308), vec3(1.0 / 2.4)) - 0.055;
-  return min(mix(power, 12.92 * bent, lessThanEqual(bent, vec3(0.0031308))), 1.0);
-}
-
-void main() {
-  ivec2 size = textureSize(linear, 0);
-  ivec2 pixel = ivec2(int(gl_FragCoord.x), size.y - 1 - int(gl_FragCoord.y));
-  vec4 here = texelFetch(linear, pixel, 0);
-  vec4 sum = vec4(0.0);
-  for (int y = -1; y <= 1; y++) for (int x = -1; x <= 1; x++) {
-    ivec2 at = pixel + ivec2(x, y);
-    if (any(lessThan(at, ivec2(0))) || any(greaterThanEqual(at, size))) continue;
-    vec4 light = texelFetch(linear, at, 0);
-    float weight = float((2 - abs(x)) * (2 - abs(y))) * light.w;
-    sum += vec4(light.rgb * weight, weight);
-  }
-  vec3 shaded = filtered && sum.w > 0.0 ? sum.rgb / sum.w : here.rgb;
-  float there = here.w * texelFetch(albedo, pixel, 0).a;
-  vec3 behind = here.w > 0.0 ? vec3(0.0) : display(here.rgb);
-  colour = backdrop && here.w == 0.0 ? vec4(behind, 1.0) : vec4(display(shaded), there);
-}`;
 
 /** A failure of WebGL, as one line for people. */
 export class ShadingError extends Error {}
@@ -120,17 +13,22 @@ export class Shading {
   constructor(canvas) {
     this.canvas = canvas;
     const gl = canvas.getContext("webgl2", {
-      alpha: true, premultipliedAlpha: false, antialias: false, depth: false,
+      alpha: true,
+      premultipliedAlpha: false,
+      antialias: false,
+      depth: false,
       preserveDrawingBuffer: true,
     });
     if (!gl?.getExtension("EXT_color_buffer_float")) {
-      throw new ShadingError("This browser offers no WebGL2 with float pictures; light needs them.");
+      throw new ShadingError(
+        "This browser offers no WebGL2 with float pictures; light needs them.",
+      );
     }
     this.gl = gl;
     this.light = new Program(gl, LIGHT);
     this.show = new Program(gl, SHOW);
     this.textures = Object.fromEntries(
-      ["albedo", "normal", "maps", "linear"].map((name) => [name, gl.createTexture()]),
+      ["albedo", "normal", "maps", "linear", "far"].map((name) => [name, gl.createTexture()]),
     );
     this.target = gl.createFramebuffer();
     this.ready = { shot: false, maps: false };
@@ -148,15 +46,17 @@ export class Shading {
     const [height, width] = albedo.shape;
     Object.assign(canvas, { width, height });
     const { base, directions } = surface(albedo, normal, alpha);
-    for (const [name, data] of [["albedo", base], ["normal", directions], ["linear", null]]) {
+    const contents = { albedo: base, normal: directions, linear: null, far: null };
+    for (const [name, data] of Object.entries(contents)) {
       gl.bindTexture(gl.TEXTURE_2D, this.textures[name]);
       gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA32F, width, height, 0, gl.RGBA, gl.FLOAT, data);
       nearest(gl, gl.TEXTURE_2D);
     }
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.target);
-    gl.framebufferTexture2D(
-      gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, this.textures.linear, 0,
-    );
+    const drawn = [gl.COLOR_ATTACHMENT0, gl.COLOR_ATTACHMENT1];
+    gl.framebufferTexture2D(gl.FRAMEBUFFER, drawn[0], gl.TEXTURE_2D, this.textures.linear, 0);
+    gl.framebufferTexture2D(gl.FRAMEBUFFER, drawn[1], gl.TEXTURE_2D, this.textures.far, 0);
+    gl.drawBuffers(drawn);
     const [[fx, , cx], [, fy, cy]] = camera.intrinsics;
     this.lens = [fx, fy, cx, cy];
     this.axes = camera.camera_to_world;
@@ -177,7 +77,16 @@ export class Shading {
     const { gl } = this;
     gl.bindTexture(gl.TEXTURE_2D_ARRAY, this.textures.maps);
     gl.texImage3D(
-      gl.TEXTURE_2D_ARRAY, 0, gl.RGBA32F, width, height, layers, 0, gl.RGBA, gl.FLOAT, texels,
+      gl.TEXTURE_2D_ARRAY,
+      0,
+      gl.RGBA32F,
+      width,
+      height,
+      layers,
+      0,
+      gl.RGBA,
+      gl.FLOAT,
+      texels,
     );
     nearest(gl, gl.TEXTURE_2D_ARRAY);
     this.ready.maps = true;
@@ -204,7 +113,7 @@ export class Shading {
     gl.drawArrays(gl.TRIANGLES, 0, 3);
 
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
-    show.use({ linear: textures.linear, albedo: textures.albedo });
+    show.use({ linear: textures.linear, far: textures.far, albedo: textures.albedo });
     gl.uniform1i(show.places.filtered, Number(settings.filtered));
     gl.uniform1i(show.places.backdrop, Number(settings.backdrop));
     gl.drawArrays(gl.TRIANGLES, 0, 3);
@@ -244,8 +153,10 @@ class Program {
   use(pictures, stacks = {}) {
     const { gl } = this;
     gl.useProgram(this.program);
-    const all = [[gl.TEXTURE_2D, pictures], [gl.TEXTURE_2D_ARRAY, stacks]]
-      .flatMap(([target, named]) => Object.entries(named).map((entry) => [target, ...entry]));
+    const all = [
+      [gl.TEXTURE_2D, pictures],
+      [gl.TEXTURE_2D_ARRAY, stacks],
+    ].flatMap(([target, named]) => Object.entries(named).map((entry) => [target, ...entry]));
     all.forEach(([target, name, texture], unit) => {
       gl.activeTexture(gl.TEXTURE0 + unit);
       gl.bindTexture(target, texture);
@@ -276,7 +187,10 @@ function nearest(gl, target) {
 /** A program of two shaders; raises `ShadingError` with the driver's first line. */
 export function link(gl, vertex, fragment) {
   const program = gl.createProgram();
-  for (const [kind, source] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]]) {
+  for (const [kind, source] of [
+    [gl.VERTEX_SHADER, vertex],
+    [gl.FRAGMENT_SHADER, fragment],
+  ]) {
     const shader = gl.createShader(kind);
     gl.shaderSource(shader, source);
     gl.compileShader(shader);

@@ -8,8 +8,14 @@ import { Overlay } from "./overlay.js";
 import { Stage } from "./stage.js";
 
 const NAMES = {
-  image: "Image", albedo: "Albedo", normal: "Normal", depth: "Depth", uv: "UV",
-  canonical: "Canonical", alpha: "Alpha", parts: "Parts",
+  image: "Image",
+  albedo: "Albedo",
+  normal: "Normal",
+  depth: "Depth",
+  uv: "UV",
+  canonical: "Canonical",
+  alpha: "Alpha",
+  parts: "Parts",
 };
 
 export class ShotView {
@@ -20,7 +26,9 @@ export class ShotView {
   constructor(element, address, dataset, neighbour, fail) {
     Object.assign(this, { element, address, dataset, neighbour });
     this.closed = false;
-    this.start().catch((error) => { if (!this.closed) fail(error); });
+    this.start().catch((error) => {
+      if (!this.closed) fail(error);
+    });
   }
 
   async start() {
@@ -40,14 +48,26 @@ export class ShotView {
     this.overlay.mesh = options.mesh === "1";
     this.stage = new Stage(shot, this.dataset.part_names, this.overlay, (e) => this.pick(e));
     this.light = new LightPanel(
-      shot, (e) => this.stage.picture("image", e), this.dataset.environments, this.environment,
+      shot,
+      (e) => this.stage.picture("image", e),
+      this.dataset.environments,
+      this.environment,
     );
     this.element.replaceChildren(
       this.head,
-      h("div", { class: "columns" },
+      h(
+        "div",
+        { class: "columns" },
         h("div", { class: "main" }, this.tools(), this.stage.element, this.light.element),
-        h("div", { class: "side" }, this.siblings(), this.reproduce(),
-          metadata(shot.meta), members(shot.members))),
+        h(
+          "div",
+          { class: "side" },
+          this.siblings(),
+          this.reproduce(),
+          metadata(shot.meta),
+          members(shot.members),
+        ),
+      ),
     );
     this.draw();
   }
@@ -61,57 +81,88 @@ export class ShotView {
     this.next = button("→", () => this.step(1), { label: "Next shot of the selection" });
     this.previous.disabled = this.next.disabled = this.at === null;
     return h(
-      "header", { class: "viewbar" },
+      "header",
+      { class: "viewbar" },
       button("‹ Grid", () => this.address.close(), { label: "Back to the grid" }),
       h("h1", { text: `${subset}/${id}` }),
-      this.previous, this.next, h("span", { class: "spring" }),
+      this.previous,
+      this.next,
+      h("span", { class: "spring" }),
       button("Subject in 3D", () => this.address.show("subject", subset, subject)),
-      button("Play", () => this.address.show("play", subset, subject,
-        { environment: String(this.environment ?? 0) })),
+      button("Play", () =>
+        this.address.show("play", subset, subject, { environment: String(this.environment ?? 0) }),
+      ),
     );
   }
 
   broken(reason) {
     this.element.replaceChildren(
       this.head,
-      h("div", { class: "notice", role: "alert" },
-        h("h2", { text: "This shot is broken" }), h("p", { text: reason }),
-        h("p", { class: "hint", text: "synthgen verify says what else is wrong with its shard." })),
+      h(
+        "div",
+        { class: "notice", role: "alert" },
+        h("h2", { text: "This shot is broken" }),
+        h("p", { text: reason }),
+        h("p", { class: "hint", text: "synthgen verify says what else is wrong with its shard." }),
+      ),
     );
     if (this.shot.members?.length) this.element.append(members(this.shot.members));
   }
 
   tools() {
-    this.switch = segments("Pass", this.passes.map((p) => [p, NAMES[p]]), this.pass, (p) => this.show(p));
-    const overlay = (name, label) => h("label", { class: "check" },
-      h("input", {
-        type: "checkbox", checked: this.overlay[name],
-        onchange: (event) => {
-          this.overlay[name] = event.target.checked;
-          this.address.note({ [name]: event.target.checked ? "1" : "0" });
-          this.stage.redraw();
-        },
-      }), h("span", { text: label }));
-    return h("div", { class: "tools" }, this.switch,
-      overlay("landmarks", "Landmarks"), overlay("mesh", "Mesh"),
-      this.shot.environments.length > 1 ? this.lights() : null);
+    this.switch = segments(
+      "Pass",
+      this.passes.map((p) => [p, NAMES[p]]),
+      this.pass,
+      (p) => this.show(p),
+    );
+    const overlay = (name, label) =>
+      h(
+        "label",
+        { class: "check" },
+        h("input", {
+          type: "checkbox",
+          checked: this.overlay[name],
+          onchange: (event) => {
+            this.overlay[name] = event.target.checked;
+            this.address.note({ [name]: event.target.checked ? "1" : "0" });
+            this.stage.redraw();
+          },
+        }),
+        h("span", { text: label }),
+      );
+    return h(
+      "div",
+      { class: "tools" },
+      this.switch,
+      overlay("landmarks", "Landmarks"),
+      overlay("mesh", "Mesh"),
+      this.shot.environments.length > 1 ? this.lights() : null,
+    );
   }
 
   /** Which environments are shown: all side by side, or one of them, large. */
   lights() {
-    return h("select", {
-      "aria-label": "Lights shown",
-      onchange: ({ target }) => {
-        this.beside = target.value === "all";
-        this.address.note({ one: this.beside ? "0" : "1" });
-        if (this.beside) this.draw();
-        else this.pick(Number(target.value));
+    return h(
+      "select",
+      {
+        "aria-label": "Lights shown",
+        onchange: ({ target }) => {
+          this.beside = target.value === "all";
+          this.address.note({ one: this.beside ? "0" : "1" });
+          if (this.beside) this.draw();
+          else this.pick(Number(target.value));
+        },
       },
-    },
-    h("option", { value: "all", text: "All lights side by side", selected: this.beside }),
-    ...this.shot.environments.map(({ id }, e) => h("option", {
-      value: String(e), text: `${id} alone`, selected: !this.beside && e === this.environment,
-    })));
+      h("option", { value: "all", text: "All lights side by side", selected: this.beside }),
+      ...this.shot.environments.map(({ id }, e) =>
+        h("option", {
+          value: String(e),
+          text: `${id} alone`,
+          selected: !this.beside && e === this.environment,
+        }),
+      ),
+    );
   }
 
   show(pass) {
@@ -134,36 +185,56 @@ export class ShotView {
     const { subset, subject } = this.shot;
     const list = this.shot.siblings.map((id) => {
       const current = id === this.shot.key;
-      return h("li", {}, h("a", {
-        href: this.address.href("shot", subset, id), text: id.split("_").pop(), title: id,
-        "aria-current": current ? "true" : null,
-        "aria-label": `Shot ${id}`,
-        onclick: (event) => {
-          if (event.ctrlKey || event.metaKey) return;
-          event.preventDefault();
-          this.address.show("shot", subset, id, { pass: this.pass });
-        },
-      }));
+      return h(
+        "li",
+        {},
+        h("a", {
+          href: this.address.href("shot", subset, id),
+          text: id.split("_").pop(),
+          title: id,
+          "aria-current": current ? "true" : null,
+          "aria-label": `Shot ${id}`,
+          onclick: (event) => {
+            if (event.ctrlKey || event.metaKey) return;
+            event.preventDefault();
+            this.address.show("shot", subset, id, { pass: this.pass });
+          },
+        }),
+      );
     });
-    return h("section", { class: "panel", "aria-label": "Shots of this subject" },
-      h("h2", { text: `Shots of ${subject}` }), h("ul", { class: "keys" }, ...list));
+    return h(
+      "section",
+      { class: "panel", "aria-label": "Shots of this subject" },
+      h("h2", { text: `Shots of ${subject}` }),
+      h("ul", { class: "keys" }, ...list),
+    );
   }
 
   reproduce() {
-    const copy = button("Copy", async () => {
-      try {
-        await navigator.clipboard.writeText(this.shot.command);
-        copy.textContent = "Copied";
-      } catch {
-        // Without leave to use the clipboard, it is at least selected.
-        getSelection().selectAllChildren(code);
-        copy.textContent = "Selected";
-      }
-      setTimeout(() => { copy.textContent = "Copy"; }, 1500);
-    }, { label: "Copy the command that renders this shot again" });
+    const copy = button(
+      "Copy",
+      async () => {
+        try {
+          await navigator.clipboard.writeText(this.shot.command);
+          copy.textContent = "Copied";
+        } catch {
+          // Without leave to use the clipboard, it is at least selected.
+          getSelection().selectAllChildren(code);
+          copy.textContent = "Selected";
+        }
+        setTimeout(() => {
+          copy.textContent = "Copy";
+        }, 1500);
+      },
+      { label: "Copy the command that renders this shot again" },
+    );
     const code = h("code", { text: this.shot.command });
-    return h("section", { class: "panel", "aria-label": "Reproduce" },
-      h("h2", { text: "Render it again" }), h("div", { class: "command" }, code, copy));
+    return h(
+      "section",
+      { class: "panel", "aria-label": "Reproduce" },
+      h("h2", { text: "Render it again" }),
+      h("div", { class: "command" }, code, copy),
+    );
   }
 
   async step(by) {

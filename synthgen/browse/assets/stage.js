@@ -1,12 +1,16 @@
-// The pictures of a shot: every pass, its environments side by side, and the values under the pointer.
+// The pictures of a shot: every pass, its environments side by side, values under the pointer.
 
 import { askArray, path, query } from "./api.js";
 import { h } from "./dom.js";
 
 const LIT = ["image", "linear"]; // what differs by environment
 const AXES = {
-  image: ["R", "G", "B", "A"], linear: ["R", "G", "B", "A"], albedo: ["R", "G", "B"], normal: ["x", "y", "z"],
-  uv: ["u", "v"], canonical: ["x", "y", "z"],
+  image: ["R", "G", "B", "A"],
+  linear: ["R", "G", "B", "A"],
+  albedo: ["R", "G", "B"],
+  normal: ["x", "y", "z"],
+  uv: ["u", "v"],
+  canonical: ["x", "y", "z"],
 };
 const UNITS = { depth: " m", canonical: " m" };
 
@@ -69,7 +73,8 @@ export class Stage {
           onpointerdown: (event) => this.read(event, image, e),
           onpointerleave: () => this.idle(),
         },
-        image, h("canvas", { class: "overlay", "aria-hidden": "true" }),
+        image,
+        h("canvas", { class: "overlay", "aria-hidden": "true" }),
       ),
       pass === "image" ? this.caption(use, e, many) : null,
     );
@@ -85,17 +90,27 @@ export class Stage {
   caption(use, e, many) {
     const words = [h("b", { text: use?.id ?? `environment ${e}` })];
     if (Number.isFinite(use?.rotation)) {
-      words.push(h("span", { class: "number", text: `${Math.round((use.rotation * 180) / Math.PI)}°` }));
+      words.push(
+        h("span", { class: "number", text: `${Math.round((use.rotation * 180) / Math.PI)}°` }),
+      );
     }
     if (Number.isFinite(use?.exposure)) {
       const sign = use.exposure >= 0 ? "+" : "−";
-      words.push(h("span", { class: "number", text: `${sign}${Math.abs(use.exposure).toFixed(2)} stops` }));
+      words.push(
+        h("span", { class: "number", text: `${sign}${Math.abs(use.exposure).toFixed(2)} stops` }),
+      );
     }
     if (!many) return h("figcaption", {}, ...words);
-    const pick = h("button", {
-      type: "button", class: "pick", "aria-label": `Use ${use?.id} for light and play`,
-      onclick: () => this.picked(e),
-    }, ...words);
+    const pick = h(
+      "button",
+      {
+        type: "button",
+        class: "pick",
+        "aria-label": `Use ${use?.id} for light and play`,
+        onclick: () => this.picked(e),
+      },
+      ...words,
+    );
     return h("figcaption", {}, pick);
   }
 
@@ -118,15 +133,25 @@ export class Stage {
 
   showLegend() {
     if (this.legend.childElementCount) return;
-    this.legend.append(...[...this.parts.values()].map(({ id, name, colour }) => {
-      const key = h("span", { class: "swatch", "aria-hidden": "true" });
-      key.style.background = `rgb(${colour.join(" ")})`;
-      return h("li", {}, key, h("span", { class: "number", text: String(id) }), h("span", { text: name }));
-    }));
+    this.legend.append(
+      ...[...this.parts.values()].map(({ id, name, colour }) => {
+        const key = h("span", { class: "swatch", "aria-hidden": "true" });
+        key.style.background = `rgb(${colour.join(" ")})`;
+        return h(
+          "li",
+          {},
+          key,
+          h("span", { class: "number", text: String(id) }),
+          h("span", { text: name }),
+        );
+      }),
+    );
   }
 
   idle() {
-    this.readout.replaceChildren(h("dt", { class: "hint", text: "Point at a picture to read its values." }));
+    this.readout.replaceChildren(
+      h("dt", { class: "hint", text: "Point at a picture to read its values." }),
+    );
   }
 
   /** Arrays of passes are fetched when they are first asked for, each once. */
@@ -138,8 +163,14 @@ export class Stage {
       const waiting = { array: null };
       this.values.set(name, waiting);
       askArray(address).then(
-        (array) => { waiting.array = array; this.again?.(); },
-        (error) => { waiting.error = error.message; this.again?.(); },
+        (array) => {
+          waiting.array = array;
+          this.again?.();
+        },
+        (error) => {
+          waiting.error = error.message;
+          this.again?.();
+        },
       );
     }
     return this.values.get(name);
@@ -152,8 +183,9 @@ export class Stage {
     const y = Math.floor(((event.clientY - box.top) / box.height) * height);
     if (x < 0 || y < 0 || x >= width || y >= height) return this.idle();
     const shown = this.pass === "image" ? LIT : [this.pass];
-    const passes = [...new Set([...shown, "parts", "depth", "alpha"])]
-      .filter((pass) => this.shot.values.includes(pass));
+    const passes = [...new Set([...shown, "parts", "depth", "alpha"])].filter((pass) =>
+      this.shot.values.includes(pass),
+    );
     this.again = () => this.write(x, y, passes, environment);
     this.again();
   }
@@ -178,7 +210,9 @@ export class Stage {
     const digits = type === "uint8" ? 0 : 4;
     const written = values.map((value) => value.toFixed(digits));
     const axes = AXES[pass] ?? [];
-    return written.map((v, i) => (axes[i] ? `${axes[i]} ${v}` : v)).join("  ") + (UNITS[pass] ?? "");
+    return (
+      written.map((v, i) => (axes[i] ? `${axes[i]} ${v}` : v)).join("  ") + (UNITS[pass] ?? "")
+    );
   }
 
   close() {

@@ -20,26 +20,50 @@ export class SubjectView {
   async start() {
     const { subset, id } = this.address.view;
     this.canvas = h("canvas", {
-      class: "scene", tabindex: "0", role: "img",
-      "aria-label": "The subject's mesh and cameras; drag or use the arrow keys to turn, + and − to zoom",
+      class: "scene",
+      tabindex: "0",
+      role: "img",
+      "aria-label":
+        "The subject's mesh and cameras; drag or use the arrow keys to turn, + and − to zoom",
     });
     this.problem = h("p", { class: "problem", role: "alert", hidden: true });
     this.shots = h("ul", { class: "keys" });
     this.sliders = h("div", { class: "sliders" });
     this.element.replaceChildren(
-      h("header", { class: "viewbar" },
+      h(
+        "header",
+        { class: "viewbar" },
         button("‹ Grid", () => this.address.close(), { label: "Back to the grid" }),
-        h("h1", { text: `${subset}/${id}` }), h("span", { class: "spring" }),
-        button("Play", () => this.address.show("play", subset, id))),
-      h("div", { class: "columns" },
-        h("div", { class: "main" }, this.problem, this.canvas,
-          h("div", { class: "row" },
+        h("h1", { text: `${subset}/${id}` }),
+        h("span", { class: "spring" }),
+        button("Play", () => this.address.show("play", subset, id)),
+      ),
+      h(
+        "div",
+        { class: "columns" },
+        h(
+          "div",
+          { class: "main" },
+          this.problem,
+          this.canvas,
+          h(
+            "div",
+            { class: "row" },
             button("With cameras", () => this.fit(this.everything)),
             button("Bust alone", () => this.fit(this.bust)),
-            h("p", { class: "hint", text: "Drag to turn, wheel to zoom. Neck and head are at rest." }))),
-        h("div", { class: "side" },
+            h("p", {
+              class: "hint",
+              text: "Drag to turn, wheel to zoom. Neck and head are at rest.",
+            }),
+          ),
+        ),
+        h(
+          "div",
+          { class: "side" },
           h("section", { class: "panel" }, h("h2", { text: "Shots" }), this.shots),
-          h("section", { class: "panel" }, h("h2", { text: "Expression" }), this.sliders))),
+          h("section", { class: "panel" }, h("h2", { text: "Expression" }), this.sliders),
+        ),
+      ),
     );
     const subject = await askJson(path("api", "subject", subset, id));
     this.list(subset, subject);
@@ -50,22 +74,31 @@ export class SubjectView {
   list(subset, { shots, cameras, broken }) {
     const places = new Map(cameras.map(({ key }, i) => [key, i]));
     const reasons = new Map(broken.map(({ key, reason }) => [key, reason]));
-    this.shots.append(...shots.map((shot) => {
-      const place = places.get(shot) ?? -1;
-      return h("li", {}, h("a", {
-        href: this.address.href("shot", subset, shot), text: shot.split("_").pop(),
-        class: reasons.has(shot) ? "broken" : null,
-        title: reasons.has(shot) ? `${shot}, broken: ${reasons.get(shot)}` : shot,
-        "aria-label": `Shot ${shot}`,
-        onclick: (event) => {
-          if (event.ctrlKey || event.metaKey) return;
-          event.preventDefault();
-          this.address.show("shot", subset, shot);
-        },
-        onmouseenter: () => this.mark(place), onfocus: () => this.mark(place),
-        onmouseleave: () => this.mark(-1), onblur: () => this.mark(-1),
-      }));
-    }));
+    this.shots.append(
+      ...shots.map((shot) => {
+        const place = places.get(shot) ?? -1;
+        return h(
+          "li",
+          {},
+          h("a", {
+            href: this.address.href("shot", subset, shot),
+            text: shot.split("_").pop(),
+            class: reasons.has(shot) ? "broken" : null,
+            title: reasons.has(shot) ? `${shot}, broken: ${reasons.get(shot)}` : shot,
+            "aria-label": `Shot ${shot}`,
+            onclick: (event) => {
+              if (event.ctrlKey || event.metaKey) return;
+              event.preventDefault();
+              this.address.show("shot", subset, shot);
+            },
+            onmouseenter: () => this.mark(place),
+            onfocus: () => this.mark(place),
+            onmouseleave: () => this.mark(-1),
+            onblur: () => this.mark(-1),
+          }),
+        );
+      }),
+    );
   }
 
   async show(subset, id, { cameras }) {
@@ -77,10 +110,15 @@ export class SubjectView {
     this.everything = bounds([...meshes.map(({ positions }) => positions), eyes.flat()]);
     this.fit(this.everything);
     this.meshes = meshes.map((mesh) => ({ ...mesh, thing: this.scene.mesh(mesh) }));
-    this.frusta = cameras.map((camera) => [[120, 130, 145], [47, 129, 247]].map((colour) => {
-      const thing = this.scene.lines(frustum(camera), colour);
-      return thing;
-    }));
+    this.frusta = cameras.map((camera) =>
+      [
+        [120, 130, 145],
+        [47, 129, 247],
+      ].map((colour) => {
+        const thing = this.scene.lines(frustum(camera), colour);
+        return thing;
+      }),
+    );
     this.mark(-1);
     this.canvas.dataset.cameras = String(cameras.length);
   }
@@ -114,16 +152,24 @@ export class SubjectView {
     }
     const skin = this.meshes?.find(({ positions }) => positions.length === deltas.shape[1] * 3);
     if (!skin) {
-      this.sliders.replaceChildren(h("p", { class: "hint", text: "The expressions fit another mesh." }));
+      this.sliders.replaceChildren(
+        h("p", { class: "hint", text: "The expressions fit another mesh." }),
+      );
       return;
     }
-    const parts = names.slice(0, deltas.shape[0]).map((name, i) => slider(name, {
-      min: 0, max: 1, step: 0.01, value: 0, write: (v) => v.toFixed(2),
-      oninput: (value) => {
-        this.weights.set(i, value);
-        this.morph(skin, deltas);
-      },
-    }));
+    const parts = names.slice(0, deltas.shape[0]).map((name, i) =>
+      slider(name, {
+        min: 0,
+        max: 1,
+        step: 0.01,
+        value: 0,
+        write: (v) => v.toFixed(2),
+        oninput: (value) => {
+          this.weights.set(i, value);
+          this.morph(skin, deltas);
+        },
+      }),
+    );
     const neutral = button("Neutral", () => {
       this.weights.clear();
       parts.forEach((part) => part.set(0));
@@ -171,12 +217,9 @@ function bounds(arrays) {
 
 /** Line segments of a camera: its centre, its picture at `FRUSTUM` and a tick above it. */
 function frustum({ camera_to_world: axes, intrinsics: [[fx, , cx], [, fy, cy]], width, height }) {
-  const point = (x, y, z) => [0, 1, 2].map(
-    (i) => axes[i][0] * x + axes[i][1] * y + axes[i][2] * z + axes[i][3],
-  );
-  const corner = (u, v) => point(
-    ((u - cx) / fx) * FRUSTUM, -((v - cy) / fy) * FRUSTUM, -FRUSTUM,
-  );
+  const point = (x, y, z) =>
+    [0, 1, 2].map((i) => axes[i][0] * x + axes[i][1] * y + axes[i][2] * z + axes[i][3]);
+  const corner = (u, v) => point(((u - cx) / fx) * FRUSTUM, -((v - cy) / fy) * FRUSTUM, -FRUSTUM);
   const eye = point(0, 0, 0);
   const corners = [corner(0, 0), corner(width, 0), corner(width, height), corner(0, height)];
   const tick = corner(width / 2, -0.2 * height);

@@ -1,0 +1,112 @@
+// One cell of the grid: a shot's thumbnail and caption, or why there is none.
+
+import { ask, path, query } from "./api.js";
+import { h } from "./dom.js";
+
+/** Height of a caption and room between cells, in pixels. */
+export const CAPTION = 22;
+export const GAP = 6;
+
+export class Cell {
+  constructor(grid, index) {
+    this.grid = grid;
+    this.index = index;
+    this.image = h("img", { alt: "", draggable: "false" });
+    this.text = h("span", { class: "words" });
+    this.value = h("span", { class: "sorted" });
+    this.element = h(
+      "a",
+      {
+        class: "cell",
+        id: `cell-${index}`,
+        role: "option",
+        tabindex: "-1",
+        "aria-posinset": String(index + 1),
+        onclick: (event) => this.clicked(event),
+      },
+      h("span", { class: "picture" }, this.image),
+      h("span", { class: "caption" }, this.text, this.value),
+    );
+  }
+
+  clicked(event) {
+    // With a modifier the browser opens a tab of its own.
+    if (event.ctrlKey || event.metaKey || event.shiftKey || !this.row) return;
+    event.preventDefault();
+    this.grid.active = this.index;
+    this.grid.calls.open(this.row, this.index);
+  }
+
+  place({ columns, cell, pitch, edge, total }, shift) {
+    const x = edge + (this.index % columns) * (cell + GAP);
+    const y = Math.floor(this.index / columns) * pitch + shift;
+    const { style } = this.element;
+    style.transform = `translate(${x}px, ${y}px)`;
+    style.width = `${cell}px`;
+    style.height = `${cell + CAPTION}px`;
+    this.element.setAttribute("aria-setsize", String(total ?? -1));
+  }
+
+  show(row) {
+    if (!row || row === this.row) return;
+    this.row = row;
+    const { calls } = this.grid;
+    this.element.setAttribute("href", calls.href(row, this.index));
+    const { label, text, value } = calls.caption(row);
+    this.element.setAttribute("aria-label", label);
+    this.text.textContent = text;
+    this.value.textContent = value;
+    this.load();
+  }
+
+  async load() {
+    const { row, grid } = this;
+    const reason = row.broken ?? (row.failed ? row.reason || "failed" : null);
+    if (reason) return this.broken(reason);
+    this.request = new AbortController();
+    const pixels = Math.ceil(grid.cell * Math.min(devicePixelRatio || 1, 2));
+    const address =
+      path("thumbnail", row.subset, row.key) +
+      query({
+        environment: grid.calls.environment(row),
+        size: Math.min(480, pixels),
+        revision: grid.calls.revision(),
+      });
+    try {
+      const response = await ask(address, { signal: this.request.signal });
+      const why = response.headers.get("X-Broken");
+      if (why !== null) return this.broken(why);
+      const blob = await response.blob();
+      if (this.dropped) return;
+      this.address = URL.createObjectURL(blob);
+      this.image.src = this.address;
+      await this.image.decode();
+      this.element.classList.add("loaded");
+    } catch (error) {
+      if (error.name !== "AbortError" && !this.dropped) this.broken(error.message);
+    }
+  }
+
+  broken(reason) {
+    this.element.classList.add("broken");
+    this.element.setAttribute(
+      "aria-label",
+      `${this.grid.calls.caption(this.row).label}, broken: ${reason}`,
+    );
+    this.image.replaceWith(
+      h("span", { class: "reason" }, h("b", { text: "Broken" }), h("span", { text: reason })),
+    );
+  }
+
+  /** Takes the cell off the page and stops what it waits for. */
+  drop() {
+    this.dropped = true;
+    this.request?.abort();
+    this.element.remove();
+    if (this.address) URL.revokeObjectURL(this.address);
+  }
+
+  remove() {
+    this.drop();
+  }
+}
