@@ -36,9 +36,9 @@ def client(out: Path, cache: Path, token: str | None = None, **options: Any) -> 
     return TestClient(app, **({"base_url": "http://localhost"} | options))
 
 
-@pytest.fixture
-def ask(small_dataset: Path, tmp_path: Path) -> TestClient:
-    return client(small_dataset, tmp_path)
+@pytest.fixture(scope="module")
+def ask(small_dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> TestClient:
+    return client(small_dataset, tmp_path_factory.mktemp("thumbnails"))
 
 
 @pytest.fixture

@@ -39,9 +39,9 @@ def client(out: Path, cache: Path, **options: Any) -> TestClient:
     return TestClient(app, base_url="http://localhost")
 
 
-@pytest.fixture
-def ask(small_dataset: Path, tmp_path: Path) -> TestClient:
-    return client(small_dataset, tmp_path)
+@pytest.fixture(scope="module")
+def ask(small_dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> TestClient:
+    return client(small_dataset, tmp_path_factory.mktemp("thumbnails"))
 
 
 @pytest.fixture
@@ -122,6 +122,7 @@ def test_sorting_puts_shots_without_a_value_last(
         ({"facets": {"subset": ["video"]}}, "subset = 'video'"),
         ({"facets": {"split": ["train", "test"]}}, "split IN ('train', 'test')"),
         ({"facets": {"environments": ["night"]}}, "list_contains(environments, 'night')"),
+        ({"facets": {"environments": ["night", *"abcdefgh"]}}, "'night' IN environments"),
         ({"facets": {"person_hat_style": [None]}}, "person_hat_style IS NULL"),
         ({"facets": {"failed": [False]}}, "true"),
         ({"facets": {"split": []}}, "true"),
@@ -491,6 +492,7 @@ def test_a_failed_subject_is_a_row_with_its_reason(tmp_path: Path, monkeypatch: 
 
 def test_a_dataset_that_grows_is_followed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(snapshots, "_SETTLE", 0.0)
+    monkeypatch.setattr(snapshots, "_REST", 0.0)
     out, job = tmp_path / "out", fake_renderer.small_job()
     assert not render_job(job, out, workers=1, limit=1, renderer=fake_renderer.RENDERER).complete
     ask = client(out, tmp_path / "cache")

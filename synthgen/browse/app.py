@@ -1,4 +1,23 @@
-"""The addresses that `synthgen browse` answers; see docs/browse.md."""
+"""The addresses that `synthgen browse` answers, all but one by GET.
+
+    /, /assets/…                                    the page
+    /api/dataset                                    name, counts, columns, environments, revision
+    /api/shots?<selection>&offset=&limit=           a page of rows, and how many there are
+    /api/counts?<selection>&columns=                facets and histograms, of all columns or some
+    /api/shot/{subset}/{shot}                       metadata, members, siblings, command, broken
+    /api/subject/{subset}/{subject}                 shots and cameras
+    /thumbnail/{subset}/{shot}?environment=&size=   JPEG; SVG with X-Broken where there is none
+    /pass/{subset}/{shot}/{pass}?environment=       PNG, as `synthgen show` draws it
+    /values/{subset}/{shot}/{pass}?environment=     numbers, see `decoded`
+    /member/{subset}/{shot}/{name}                  bytes as stored
+    /subject/{subset}/{subject}.glb                 the mesh
+    /subject/{subset}/{subject}/expressions         numbers, see `subjects`
+    /lightmaps/{environment}?height=                numbers, see `light`; POST /lightmaps of a file
+
+A selection is what `selection` says. Numbers are raw and little-endian, their shape and type in
+X-Shape ("480,640,3") and X-Type. What goes wrong is {"error": one line} with a 4xx status: 400 for
+a bad question, 401 without the token, 404 for what is not there, 422 for bytes that are damaged.
+"""
 
 from __future__ import annotations
 
@@ -149,12 +168,12 @@ class Server:
         return self.folder, self.library.snapshot(), subset, subject
 
     def _sample(self, request: Request) -> Sample:
-        return Sample(self.folder, self._row(request))
+        return Sample(self.folder, self._row(request, shots.PLACE))
 
-    def _row(self, request: Request) -> dict[str, Any]:
+    def _row(self, request: Request, wanted: tuple[str, ...] = ()) -> dict[str, Any]:
         subset = name(request.path_params["subset"], "subset")
         key = name(request.path_params["shot"], "key")
-        return shots.row(self.library.snapshot(), subset, key)
+        return shots.row(self.library.snapshot(), subset, key, wanted)
 
 
 def _finite(value: Any) -> Any:

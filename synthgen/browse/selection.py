@@ -22,6 +22,7 @@ from synthgen.browse.sandbox import quoted
 from synthgen.browse.snapshot import Snapshot
 
 _MOST = 500  # values of all facets together
+_FEW = 8
 
 
 @dataclass(frozen=True)
@@ -102,7 +103,11 @@ def _facet(name: str, chosen: list[Any]) -> tuple[str, list[Any]]:
     marks = ", ".join("?" * len(values))
     terms = [f"{quoted(name)} IS NULL"] if None in chosen else []
     if values and isinstance(values[0], _Element):
-        terms.append(f"list_has_any({quoted(name)}, [{marks}])")
+        # For a few values a test of each takes a fifth of the time of `list_has_any`.
+        if len(values) <= _FEW:
+            terms += [f"list_contains({quoted(name)}, ?)"] * len(values)
+        else:
+            terms.append(f"list_has_any({quoted(name)}, [{marks}])")
     elif values:
         terms.append(f"{quoted(name)} IN ({marks})")
     return f"({' OR '.join(terms) or 'true'})", [

@@ -12,6 +12,8 @@ from synthgen.browse.sandbox import quoted
 from synthgen.browse.selection import Selection
 from synthgen.browse.snapshot import Snapshot
 
+PLACE = ("key", "shard", "offset", "size", "failed", "reason")
+"""Columns that say where the bytes of a shot lie."""
 _EXACT = 2**53  # what a number of JavaScript holds exactly
 
 
@@ -23,7 +25,7 @@ def page(
     A row has the columns of the grid, of the sort, and of the place of its bytes. Rows that are
     equal in the sorted column come in the manifest's order.
     """
-    names = [n for n in (*GRID, "shard", "offset", "size") if n in snapshot.columns]
+    names = [n for n in dict.fromkeys((*GRID, *PLACE)) if n in snapshot.columns]
     if selection.sort and selection.sort not in names:
         names.append(selection.sort)
     columns = ", ".join(map(quoted, names))
@@ -52,9 +54,12 @@ def page(
     return total, [dict(zip(names, map(plain, row), strict=True)) for row in rows]
 
 
-def row(snapshot: Snapshot, subset: str, key: str) -> dict[str, Any]:
-    """All columns of one shot, or of a subject that failed. Raises `Refused` if there is none."""
-    names = list(snapshot.columns)
+def row(snapshot: Snapshot, subset: str, key: str, wanted: tuple[str, ...] = ()) -> dict[str, Any]:
+    """One shot, or a subject that failed: all of its columns, or those `wanted` that there are.
+
+    Raises `Refused` if there is none.
+    """
+    names = [n for n in wanted or snapshot.columns if n in snapshot.columns]
     rows = snapshot.sandbox.ask(
         f"SELECT {', '.join(map(quoted, names))} FROM manifest "
         'WHERE subset = ? AND "key" = ? LIMIT 1',

@@ -32,6 +32,7 @@ from synthgen.columns import IDENTITY, PLACE, schema_of
 
 _NAME = re.compile(r"\w{1,128}", re.ASCII)
 _SETTLE = 2.0  # seconds between two looks at the folder
+_REST = 10.0  # times what a reading took pass before the next: rendering needs the cores, too
 _SMALL = 20_000  # shots that are read into memory before anything is served
 _PATIENCE = 1.0  # seconds that a larger manifest waits for the first page to be served
 
@@ -62,6 +63,7 @@ class Library:
         self.folder, self.threads = folder, threads
         self._lock = threading.Lock()
         self._looked = time.monotonic()
+        self._pause = _SETTLE
         self._answered = threading.Event()
         self._loading: threading.Thread | None = None
         try:
@@ -77,10 +79,10 @@ class Library:
         self._load(patience=_PATIENCE)
 
     def snapshot(self) -> Snapshot:
-        """The newest snapshot that is ready; looks at the folder at most every other second."""
+        """The newest snapshot that is ready; looks at the folder now and then."""
         with self._lock:
             idle = self._loading is None or not self._loading.is_alive()
-            if idle and time.monotonic() - self._looked > _SETTLE:
+            if idle and time.monotonic() - self._looked > self._pause:
                 self._looked = time.monotonic()
                 if revision(self.folder) != self._current.revision:
                     self._load()
@@ -103,12 +105,14 @@ class Library:
     def _replace(self, patience: float) -> None:
         self._answered.wait(patience)
         # A folder in the middle of a change may not make sense: the next look tells.
+        start = time.monotonic()
         with contextlib.suppress(duckdb.Error, ledger.StorageError, Refused, OSError):
             loaded = _read(self.folder, self.threads, in_memory=True)
             with self._lock:
                 self._current = loaded
             self._prepare(loaded)
         self._looked = time.monotonic()
+        self._pause = max(_SETTLE, _REST * (self._looked - start))
 
     def _prepare(self, snapshot: Snapshot) -> None:
         for described in snapshot.columns.values():
