@@ -112,6 +112,7 @@ def opened(browser: Any, address: str, **options: Any) -> Iterator[Any]:
     """A page at an address that must not complain: no errors, nothing against its policy."""
     with browser.new_context(**({"viewport": {"width": 1280, "height": 800}} | options)) as context:
         page = context.new_page()
+        page.set_default_timeout(60_000)
         complaints: list[str] = []
         page.on("pageerror", lambda error: complaints.append(str(error)))
         page.on("console", lambda m: complaints.append(m.text) if m.type == "error" else None)

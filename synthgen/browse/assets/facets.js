@@ -45,7 +45,9 @@ export class Facets {
   }
 
   part(column) {
-    const heading = h("h3", { text: column.label || column.name });
+    const { label, name, unit } = column;
+    const written = unit && !(label || name).endsWith(unit) ? ` (${unit})` : "";
+    const heading = h("h3", { text: (label || name) + written });
     const part =
       column.kind === "range"
         ? new Histogram(column.label || column.name, (low, high) =>

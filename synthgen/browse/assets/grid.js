@@ -75,9 +75,15 @@ export class Grid {
   }
 
   resized() {
-    const first = this.columns ? Math.floor(this.top / this.pitch) * this.columns : 0;
+    if (!this.element.clientHeight) return; // not on the page now
+    const [columns, cell, pitch] = [this.columns, this.cell, this.pitch];
     this.measure();
-    this.top = Math.floor(first / this.columns) * this.pitch;
+    if (columns === this.columns && cell === this.cell) {
+      this.settle();
+      this.draw();
+      return;
+    }
+    this.top = Math.floor((Math.floor(this.top / pitch) * columns) / this.columns) * this.pitch;
     for (const cell of this.cells.values()) cell.remove();
     this.cells.clear();
     this.layout();

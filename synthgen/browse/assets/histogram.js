@@ -2,6 +2,7 @@
 
 import { h, number, svg } from "./dom.js";
 
+const span = (low, high) => `${number(low)} – ${number(high)}`;
 const WIDTH = 240;
 const HEIGHT = 44;
 
@@ -71,7 +72,7 @@ export class Histogram {
             height: String(height),
             class: inside ? "in" : "out",
           },
-          svg("title", { text: `${number(edges[i])} – ${number(edges[i + 1])}: ${number(count)}` }),
+          svg("title", { text: `${span(edges[i], edges[i + 1])}: ${number(count)}` }),
         );
       }),
     );

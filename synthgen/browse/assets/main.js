@@ -106,6 +106,7 @@ function open() {
   if (inGrid) {
     place.replaceChildren();
     grid.resized();
+    if (grid.total) grid.activate(grid.active);
     part("grid").focus({ preventScroll: true });
     return;
   }

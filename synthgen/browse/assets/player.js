@@ -19,8 +19,7 @@ export class Player {
     this.subset = subset;
     this.shots = subject.shots;
     if (!this.shots.length) throw new Error(`${subset}/${id} has no shots.`);
-    const first = await askJson(path("api", "shot", subset, this.shots[0]));
-    this.environments = first.environments;
+    this.environments = subject.environments.map((id) => ({ id }));
     this.wall = options.wall === "1";
     this.environment = Math.min(Number(options.environment) || 0, this.environments.length - 1);
     this.build(id);
@@ -28,11 +27,12 @@ export class Player {
     this.ready = this.load();
     await this.ready;
     this.seek(Math.min(Number(options.at) || 0, this.shots.length - 1));
-    if (options.paused !== "1") this.play(true);
+    if (options.paused !== "1" && !this.closed) this.play(true);
   }
 
   build(id) {
     this.screen = h("div", { class: "screens" });
+    this.progress = h("p", { class: "hint", role: "status" });
     this.problem = h("p", { class: "problem", role: "alert", hidden: true });
     this.toggle = button("Pause", () => this.play(!this.playing), { class: "primary" });
     this.scrub = slider("Frame", {
@@ -89,6 +89,7 @@ export class Player {
         { class: "player" },
         this.problem,
         this.screen,
+        this.progress,
         h(
           "div",
           { class: "controls row" },
@@ -112,11 +113,10 @@ export class Player {
   /** One screen per environment shown. */
   screens() {
     this.shown = this.wall ? this.environments.map((_, e) => e) : [this.environment];
-    this.pictures = this.shown.map((e) => h("img", { alt: `Under ${this.environments[e].id}` }));
     this.screen.style.setProperty("--count", String(this.shown.length));
     this.screen.replaceChildren(
-      ...this.shown.map((e, i) =>
-        h("figure", {}, this.pictures[i], h("figcaption", { text: this.environments[e].id })),
+      ...this.shown.map((e) =>
+        h("figure", {}, h("img", { alt: "" }), h("figcaption", { text: this.environments[e].id })),
       ),
     );
   }
@@ -129,9 +129,10 @@ export class Player {
       .flatMap((_, i) => shown.map((e) => [i, e]))
       .filter(([i, e]) => !this.frames.has(`${i} ${e}`));
     this.element.dataset.loaded = "no";
+    let left = wanted.length;
     await Promise.all(
       wanted.map(async ([i, e]) => {
-        const image = new Image();
+        const image = h("img", { alt: `Frame ${i + 1} under ${this.environments[e].id}` });
         image.src = path("pass", this.subset, this.shots[i], "image") + query({ environment: e });
         this.frames.set(`${i} ${e}`, image);
         try {
@@ -141,6 +142,8 @@ export class Player {
           this.problem.textContent = `${this.shots[i]} could not be read; it is left out.`;
           this.problem.hidden = false;
         }
+        left -= 1;
+        this.progress.textContent = left ? `${left} frames to come` : "";
       }),
     );
     this.element.dataset.loaded = "yes";
@@ -152,7 +155,8 @@ export class Player {
     this.element.dataset.frame = String(i);
     this.shown.forEach((e, n) => {
       const frame = this.frames.get(`${i} ${e}`);
-      if (frame) this.pictures[n].src = frame.src;
+      // The very picture that was decoded: another with its address would be fetched again.
+      if (frame) this.screen.children[n].firstChild.replaceWith(frame);
     });
   }
 
@@ -184,6 +188,7 @@ export class Player {
   }
 
   close() {
+    this.closed = true;
     clearTimeout(this.timer);
     this.playing = false;
   }
