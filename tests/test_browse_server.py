@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import json
 import shutil
@@ -32,9 +33,9 @@ from synthgen.passes import passes
 SHOT = "multiview/s000002_p01"
 
 
-def client(out: Path, cache: Path, **options: Any) -> TestClient:
+def client(out: Path, cache: Path, library: Library | None = None, **options: Any) -> TestClient:
     """A client of a server over `out` with its thumbnails in `cache`."""
-    library = Library(Folder(out))
+    library = library or Library(Folder(out))
     app = create(library, Thumbnails(cache, **options), token=None, port=0)
     return TestClient(app, base_url="http://localhost")
 
@@ -167,6 +168,17 @@ def test_the_first_answers_come_from_parquet_and_are_the_same(
         texts = {k: v if isinstance(v, str) else json.dumps(v) for k, v in query.items()}
         early_counts = early.get("/api/counts", params=texts).json()
         assert early_counts == ask.get("/api/counts", params=texts).json()
+
+
+def test_what_is_being_loaded_ends_with_the_server(
+    small_dataset: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(snapshots, "_SMALL", 0)
+    monkeypatch.setattr(snapshots, "_PATIENCE", 60.0)
+    library = Library(Folder(small_dataset))
+    assert library._loading is not None and library._loading.is_alive()
+    library.close()
+    assert not library._loading.is_alive() and not library.snapshot().in_memory
 
 
 def test_counts_are_those_of_sql_and_leave_their_own_choice_out(
@@ -495,22 +507,23 @@ def test_a_dataset_that_grows_is_followed(tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.setattr(snapshots, "_REST", 0.0)
     out, job = tmp_path / "out", fake_renderer.small_job()
     assert not render_job(job, out, workers=1, limit=1, renderer=fake_renderer.RENDERER).complete
-    ask = client(out, tmp_path / "cache")
-    first = ask.get("/api/dataset").json()
-    assert not first["complete"] and first["shots"] == 2
-    # A subject that waits for its shard is read from where it waits.
-    (row, _) = ask.get("/api/shots").json()["rows"]
-    assert row["shard"].startswith("work/")
-    key = f"{row['subset']}/{row['key']}"
-    before = ask.get(f"/thumbnail/{key}").content
-    assert render_job(job, out, workers=1, renderer=fake_renderer.RENDERER).complete
-    deadline = time.monotonic() + 30
-    while (found := ask.get("/api/dataset").json())["shots"] < 16:
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
-    assert found["complete"] and found["revision"] != first["revision"]
-    assert selected(ask) == open_dataset(out).keys()
-    assert ask.get(f"/thumbnail/{key}").content == before
+    with contextlib.closing(Library(Folder(out))) as library:
+        ask = client(out, tmp_path / "cache", library)
+        first = ask.get("/api/dataset").json()
+        assert not first["complete"] and first["shots"] == 2
+        # A subject that waits for its shard is read from where it waits.
+        (row, _) = ask.get("/api/shots").json()["rows"]
+        assert row["shard"].startswith("work/")
+        key = f"{row['subset']}/{row['key']}"
+        before = ask.get(f"/thumbnail/{key}").content
+        assert render_job(job, out, workers=1, renderer=fake_renderer.RENDERER).complete
+        deadline = time.monotonic() + 30
+        while (found := ask.get("/api/dataset").json())["shots"] < 16:
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        assert found["complete"] and found["revision"] != first["revision"]
+        assert selected(ask) == open_dataset(out).keys()
+        assert ask.get(f"/thumbnail/{key}").content == before
 
 
 def test_nothing_finished_yet_is_an_empty_dataset(copy: Path, tmp_path: Path):

@@ -16,7 +16,7 @@ import numpy as np
 
 from synthgen.browse.folder import Refused
 
-SECONDS = 5.0
+SECONDS = 10.0
 """What a query may take."""
 ROWS = 500
 """What a query that a user shapes may return."""

@@ -46,5 +46,8 @@ def serve(
     ready(address)
     # Without a log of requests: the address of the first one holds the token.
     config = uvicorn.Config(app, log_level="warning", access_log=False, server_header=False)
-    with listening:
-        uvicorn.Server(config).run(sockets=[listening])
+    try:
+        with listening:
+            uvicorn.Server(config).run(sockets=[listening])
+    finally:
+        library.close()

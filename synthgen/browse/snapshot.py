@@ -64,12 +64,14 @@ class Library:
         self._lock = threading.Lock()
         self._looked = time.monotonic()
         self._pause = _SETTLE
+        self._filling: Sandbox | None = None
+        self._closed = False
         self._answered = threading.Event()
         self._loading: threading.Thread | None = None
         try:
-            self._current = _read(folder, threads, in_memory=False)
+            self._current = _read(folder, Sandbox(threads), in_memory=False)
             if self._current.shots <= _SMALL:
-                self._current = _read(folder, threads, in_memory=True)
+                self._current = _read(folder, Sandbox(threads), in_memory=True)
                 return
         except (duckdb.Error, Refused) as error:
             reason = " ".join(str(error).splitlines()[:1])[:200]
@@ -94,6 +96,15 @@ class Library:
             self._loading.join()
         return self._current
 
+    def close(self) -> None:
+        """End what is being loaded: a thread inside DuckDB would not survive the program's end."""
+        self._closed = True
+        self.answered()
+        while self._loading is not None and self._loading.is_alive():
+            if self._filling is not None:
+                self._filling.connection.interrupt()
+            self._loading.join(0.1)
+
     def answered(self) -> None:
         """Say that somebody has a first page: now the cores are free to load."""
         self._answered.set()
@@ -105,9 +116,12 @@ class Library:
     def _replace(self, patience: float) -> None:
         self._answered.wait(patience)
         # A folder in the middle of a change may not make sense: the next look tells.
+        if self._closed:
+            return
         start = time.monotonic()
         with contextlib.suppress(duckdb.Error, ledger.StorageError, Refused, OSError):
-            loaded = _read(self.folder, self.threads, in_memory=True)
+            self._filling = Sandbox(self.threads)
+            loaded = _read(self.folder, self._filling, in_memory=True)
             with self._lock:
                 self._current = loaded
             self._prepare(loaded)
@@ -116,7 +130,7 @@ class Library:
 
     def _prepare(self, snapshot: Snapshot) -> None:
         for described in snapshot.columns.values():
-            if described.kind in ("facet", "range") and self._current is snapshot:
+            if described.kind in ("facet", "range") and not self._closed:
                 snapshot.codes.of(described)
 
 
@@ -136,10 +150,9 @@ def revision(folder: Folder) -> str:
     return digest.hexdigest()[:16]
 
 
-def _read(folder: Folder, threads: int, in_memory: bool) -> Snapshot:
+def _read(folder: Folder, sandbox: Sandbox, in_memory: bool) -> Snapshot:
     name = revision(folder)
     info = folder.description()
-    sandbox = Sandbox(threads)
     run = sandbox.connection.execute
     files: list[Path] = []
     for subset in info["plan"]:
