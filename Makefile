@@ -74,7 +74,8 @@ demo: setup
 
 train-demo: $(VENV)/.train
 	@echo "== rendering render_jobs/train_demo.toml into $(DATA), about 25 minutes on two cores"
-	@$(BIN)/synthgen render render_jobs/train_demo.toml --out $(DATA)
+	@# Exit code 1: a subject failed, which the others do without.
+	@$(BIN)/synthgen render render_jobs/train_demo.toml --out $(DATA) || [ $$? -eq 1 ]
 	@echo "== training the preset tiny in $(RUN), about 45 minutes on two cores"
 	@$(BIN)/totalediting train all $(DATA) --out $(RUN) --preset tiny --precision bf16-mixed
 	@echo "== measuring it on people that it has not seen"
