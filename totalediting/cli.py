@@ -212,7 +212,7 @@ def show(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="A folder that `train` filled.")],
     data: Annotated[Path, typer.Argument(metavar="DATA", help="A dataset with held-out people.")],
     output: Annotated[
-        Path | None, typer.Option("--output", metavar="PNG", help="Default: RUN.png.")
+        Path | None, typer.Option("--output", metavar="PICTURE", help="Default: RUN.png.")
     ] = None,
 ) -> None:
     """Draw what a trained run does with people that it has not seen."""

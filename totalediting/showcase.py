@@ -75,7 +75,7 @@ def _built(folder: Path) -> tuple[Preset, Tensor | None]:
 
 @torch.no_grad()
 def draw(run: Path, data: Path, target: Path, rows: int = 6, split: str = "test") -> Path:
-    """Draw the page as PNG; gives its path.
+    """Draw the page, as JPEG or else PNG; gives its path.
 
     Raises:
         InputError: the run has no trained model, or the dataset no such split.
@@ -123,6 +123,7 @@ def _page(columns: dict[str, Tensor], title: str, target: Path) -> Path:
             pixels = (picture * 255).round().byte().movedim(0, -1).numpy()
             page.paste(Image.fromarray(np.ascontiguousarray(pixels)), (x, top + k * (_TILE + GAP)))
         x += widths[name] + GAP
+    kind = "JPEG" if target.suffix.lower() in (".jpg", ".jpeg") else "PNG"
     with replacing(target) as temporary:
-        page.save(temporary, "PNG")
+        page.save(temporary, kind, quality=92)
     return target
