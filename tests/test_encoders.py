@@ -56,7 +56,7 @@ class Encoders(nn.Module):
         self.tracker = HeadTracker(preset)
 
     def forward(self, image: Tensor, e_app: Tensor, e_mot: Tensor) -> Tensor:
-        global_, detail = self.appearance(image)
+        global_, detail = self.appearance(image, laid(image))
         return self.triplane(fuse(self.deenactor, self.reenactor, global_, e_app, e_mot), detail)
 
 
@@ -67,6 +67,11 @@ def encoders(preset: Preset = MINI, seed: int = 0) -> Encoders:
 
 def pictures(count: int, side: int, seed: int = 1) -> Tensor:
     return torch.rand(count, 3, side, side, generator=torch.Generator().manual_seed(seed))
+
+
+def laid(image: Tensor) -> Tensor:
+    """A picture that needs no turning, as `frontalise` gives it."""
+    return torch.cat([image, torch.ones_like(image[:, :1])], 1)
 
 
 def codes(count: int, seed: int = 2) -> Tensor:
@@ -86,7 +91,7 @@ def test_shapes_fit_together_in_every_preset(name):
     with torch.device("meta"):
         net = Encoders(p)
         image, code = torch.rand(2, 3, p.image, p.image), torch.rand(2, motion.CODE)
-        appearance = net.appearance(image)
+        appearance = net.appearance(image, laid(image))
         assert isinstance(appearance, Appearance)
         assert appearance.global_.shape == (2, p.global_channels, p.image // 8, p.image // 8)
         assert appearance.detail.shape == (2, p.detail_channels, p.image // 2, p.image // 2)
@@ -114,7 +119,8 @@ def test_gradients_reach_every_parameter():
 
 def test_a_fresh_network_neither_explodes_nor_vanishes():
     net = encoders(TINY)
-    global_, detail = net.appearance(pictures(1, TINY.image))
+    image = pictures(1, TINY.image)
+    global_, detail = net.appearance(image, laid(image))
     fused = fuse(net.deenactor, net.reenactor, global_, codes(1), codes(1))
     for map_ in (global_, detail, fused, net.triplane(fused, detail)):
         assert 0.2 < map_.std() < 5
@@ -188,18 +194,23 @@ def test_full_has_the_convolutions_of_a_resnet34():
     with torch.device("meta"):
         trunk = AppearanceEncoder(PRESETS["full"]).trunk
     weights = sum(p.numel() for p in trunk.parameters() if p.ndim == 4)
-    # 21,267,648 are those of ResNet-34 without its classifier; x and y are two channels more.
-    assert weights == 21_267_648 + 2 * 64 * 7 * 7
+    # 21,267,648 are those of ResNet-34 without its classifier; the picture laid out, its mirror
+    # image, x and y are ten channels more.
+    assert weights == 21_267_648 + 10 * 64 * 7 * 7
 
 
 @torch.no_grad()
 def test_detail_is_local_and_the_global_map_is_not():
     encoder = encoders().appearance
     image = pictures(1, MINI.image)
-    dotted = image.clone()
+    frontal, dotted = laid(image), laid(image)
     dotted[:, :, 20, 40] = 1 - dotted[:, :, 20, 40]
-    before, after = encoder(image), encoder(dotted)
-    rows, columns = (after.detail != before.detail)[0].any(0).nonzero().unbind(-1)
+    before, after = encoder(image, frontal), encoder(image, dotted)
+    changed = (after.detail != before.detail)[0].any(0)
+    # Once where it is, once in the mirror image.
+    rows, columns = changed[:, MINI.image // 4 :].nonzero().unbind(-1)
+    columns = columns + MINI.image // 4
+    assert changed[:, : MINI.image // 4].any()
     # 3 pixels of the first convolution and 2 of each of the four others.
     assert ((2 * rows - 20).abs() <= 11).all() and ((2 * columns - 40).abs() <= 11).all()
     assert len(rows) >= 9 * 9
@@ -230,7 +241,7 @@ def test_detail_of_another_side_than_the_planes_is_resized():
 @torch.no_grad()
 def test_a_fresh_tracker_sees_a_nearly_neutral_face():
     tracked = encoders(TINY).tracker(pictures(4, TINY.image))
-    assert (tracked.expression - 0.05).abs().max() < 0.02
+    assert (tracked.expression - 0.05).abs().max() < 0.15
     for name, value in tracked._asdict().items():
         if name != "expression":
             assert value.abs().max() < 0.2, name
@@ -240,8 +251,10 @@ def test_a_fresh_tracker_sees_a_nearly_neutral_face():
 def test_expression_stays_in_its_range():
     tracker = encoders().tracker
     nn.init.normal_(tracker.heads["expression"].weight, std=3)
-    expression = tracker(pictures(4, MINI.image)).expression
-    assert expression.min() >= 0 and expression.max() <= 1 and expression.std() > 0.3
+    free = tracker(pictures(4, MINI.image)).expression
+    assert free.min() < 0 and free.max() > 1  # in training, what overshoots keeps its gradient
+    expression = tracker.eval()(pictures(4, MINI.image)).expression
+    assert torch.equal(expression, free.clamp(0, 1)) and expression.std() > 0.3
 
 
 def test_neutral_camera_is_the_dataset_s_default():
@@ -278,7 +291,8 @@ def test_tracking_loss_weighs_each_field(name):
     zeros = truth(3)
     assert tracking_loss(zeros, zeros) == 0
     off = zeros._replace(**{name: getattr(zeros, name) - 0.25})
-    assert tracking_loss(off, zeros).item() == pytest.approx(0.25 * motion.WEIGHTS[name])
+    error = 0.25**2 if name == "expression" else 0.25
+    assert tracking_loss(off, zeros).item() == pytest.approx(error * motion.WEIGHTS[name])
     errors = tracking_errors(off, zeros)
     assert errors.pop(name) == 0.25 and not any(errors.values())
 
@@ -401,11 +415,12 @@ def test_norm_takes_any_number_of_channels(channels):
 def test_wrong_shapes_are_refused_with_their_shape():
     net = encoders()
     image, code = pictures(2, MINI.image), codes(2)
-    global_, detail = net.appearance(image)
+    global_, detail = net.appearance(image, laid(image))
     feature = torch.zeros(2, MINI.token_dim, MINI.tokens, MINI.tokens)
     wrong = (
-        (lambda: net.appearance(image[:, :, :32]), r"\(2, 3, 32, 64\)"),
-        (lambda: net.appearance(image[0]), r"\(3, 64, 64\)"),
+        (lambda: net.appearance(image[:, :, :32], laid(image)), r"image .*\(2, 3, 32, 64\)"),
+        (lambda: net.appearance(image[0], laid(image)), r"image .*\(3, 64, 64\)"),
+        (lambda: net.appearance(image, image), r"frontal .*\(2, 3, 64, 64\)"),
         (lambda: net.tracker(image[:, :1]), r"\(2, 1, 64, 64\)"),
         (lambda: net.deenactor(detail, code), r"\(2, 16, 32, 32\)"),
         (lambda: net.deenactor(global_, code[:1]), r"\(1, 54\)"),

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from assets_procedural.distill import BONES, whole_body
-from assets_procedural.head import _LIDS, _LIP_GAP, _LIPS, _PHENOTYPE_ANCHORS, HeadModel, Identity
+from assets_procedural.head import _LIP_GAP, _LIPS, _PHENOTYPE_ANCHORS, LIDS, HeadModel, Identity
 from assets_procedural.motion import ARKIT_NAMES, Pose
 from assets_procedural.person import Person
 from assets_procedural.person_sampling import PeopleSettings, sample_person
@@ -144,8 +144,8 @@ def test_gaze_turns_the_eyeballs_about_their_joints(model, sampled):
 def test_a_whole_blink_closes_everybodys_lids(model, sampled, other):
     for identity in sampled:
         opened = identity.neutral.unposed
-        shut = identity.pose(Pose(expression={**other, **dict.fromkeys(_LIDS, 1.0)})).unposed
-        for lids in _LIDS.values():
+        shut = identity.pose(Pose(expression={**other, **dict.fromkeys(LIDS, 1.0)})).unposed
+        for lids in LIDS.values():
             upper, lower = model.from_base(lids)
             assert opened[upper, 2] - opened[lower, 2] > 0.004
             assert abs(shut[upper, 2] - shut[lower, 2]) < 1e-5

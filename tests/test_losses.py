@@ -95,8 +95,22 @@ def test_lightmap_loss_is_by_solid_angle():
 def test_regularisers():
     a, b = torch.tensor([[1.0, 2.0]]), torch.tensor([[1.5, 0.0]])
     assert losses.tv_loss(a, b).item() == pytest.approx(1.25)
-    assert losses.residual_loss(torch.tensor([[-1.0, 0.5]])).item() == pytest.approx(0.75)
     assert losses.mask_loss(torch.full((1, 1, 2, 2), 0.25), torch.ones(1, 1, 2, 2)).item() == 0.75
+
+
+def test_surface_loss_is_a_mean_distance_whatever_the_opacity():
+    weights = torch.tensor([[[0.2, 0.2], [0.5, 0.0], [0.3, 0.1]]], requires_grad=True)
+    points = torch.zeros(1, 3, 2, 3)
+    points[0, :, 0, 0], points[0, :, 1, 2] = 0.1, -0.3
+    truth, known = torch.zeros(1, 3, 3), torch.tensor([[1.0, 1.0, 0.0]])
+    loss = losses.surface_loss(weights, points, truth, known)
+    assert loss.item() == pytest.approx((0.2 + 0.1) / 2)
+    loss.backward()
+    assert weights.grad is not None
+    # Nearer samples gain, farther ones lose; what is not known does not count.
+    assert weights.grad[0, 0, 0] < 0 < weights.grad[0, 0, 1] and not weights.grad[0, 2].any()
+    faint = losses.surface_loss(0.1 * weights.detach(), points, truth, known)
+    assert faint.item() == pytest.approx(loss.item(), rel=1e-5)
 
 
 def test_density_normal_loss_weighs_and_moves_normals_alone():
@@ -116,10 +130,11 @@ def test_density_normal_loss_weighs_and_moves_normals_alone():
 def test_presets_are_the_papers_and_ours():
     assert set(OURS.at(1_000_000)) == set(TERMS)
     paper = PAPER.at(0)
-    assert {n for n, w in paper.items() if w == 0} == {"raw", "foreground"}
-    assert all(w == 1 for n, w in paper.items() if n not in ("raw", "foreground"))
+    absent = {"raw", "foreground", "surface"}
+    assert {n for n, w in paper.items() if w == 0} == absent
+    assert all(w == 1 for n, w in paper.items() if n not in absent)
     late = OURS.at(100_000)
-    assert (late["final"], late["mask"], late["normal"], late["adversarial"]) == (1, 0.3, 0.5, 0.01)
+    assert (late["final"], late["mask"], late["normal"], late["adversarial"]) == (1, 1, 0.5, 0.01)
     assert late["density_normal"] == 0.05 and late["residual"] == 0.1
 
 
@@ -143,6 +158,29 @@ def test_the_schedule():
     assert (half.identity_from, half.density_normal_until, half.tv_every) == (25, 150, 4)
 
 
+@pytest.mark.parametrize("steps", [1, 50, 1_000, 2_000, 100_000, 250_000])
+def test_dates_keep_their_share_of_a_run(steps: int):
+    weights = OURS.over(steps)
+    whole, start = OURS.at(100_000), weights.at(0)
+    for term, percent in (("identity", 20), ("adversarial", 10)):
+        first = steps * percent // 100
+        assert not any(weights.at(step)[term] for step in {0, first - 1} if 0 <= step < first)
+        assert all(weights.at(step)[term] == whole[term] for step in (first, first + 1, steps))
+    # R_n: nothing until 2 % of the run, half at 6 %, all from 10 % on.
+    low, middle, high = (steps * percent // 100 for percent in (2, 6, 10))
+    ramp = [weights.at(step)["density_normal"] for step in (low, middle, high, steps)]
+    assert ramp[2:] == [whole["density_normal"]] * 2
+    if steps >= 1_000:
+        half = 0.5 * whole["density_normal"]
+        assert ramp[:2] == [0.0, pytest.approx(half)] and start["density_normal"] == 0.0
+    # The rest knows no date, and the end is that of the schedule it comes from.
+    dated = ("identity", "adversarial", "density_normal", "tv")
+    assert all(start[term] == whole[term] for term in TERMS if term not in dated)
+    assert weights.tv_every == OURS.tv_every
+    assert {**weights.at(steps), "tv": 0.0} == {**whole, "tv": 0.0}
+    assert OURS.over(100_000) == OURS and PAPER.over(steps) == PAPER
+
+
 def test_total_adds_what_is_given_and_says_what_is_off():
     final = torch.tensor(0.5, requires_grad=True)
     late = torch.tensor(3.0, requires_grad=True)
@@ -156,14 +194,14 @@ def test_total_adds_what_is_given_and_says_what_is_off():
     }
     weights = LossWeights(raw=0.0, identity_from=10)
     found = total(terms, weights, step=1)
-    assert found.loss.item() == pytest.approx(0.5 + 0.3 * 2.0)
-    assert found.scalars == pytest.approx({"final": 0.5, "mask": 2.0, "total": 1.1})
+    assert found.loss.item() == pytest.approx(0.5 + 2.0)
+    assert found.scalars == pytest.approx({"final": 0.5, "mask": 2.0, "total": 2.5})
     assert found.off["albedo"] == found.off["lightmap"] == "not given"
     assert found.off["identity"] == "not yet" and found.off["raw"] == "weight 0"
     assert found.off["tv"] == "not in this step" and found.off["adversarial"] == "not yet"
     found.loss.backward()
     assert final.grad is not None and final.grad.item() == 1.0 and late.grad is None
-    assert total(terms, weights, step=16).loss.item() == pytest.approx(1.1 + 3.0 + 0.25 * 16)
+    assert total(terms, weights, step=16).loss.item() == pytest.approx(2.5 + 3.0 + 0.25 * 16)
 
 
 def test_total_refuses_what_it_does_not_know():

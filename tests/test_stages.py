@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import shutil
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -13,9 +14,19 @@ import torch
 from conftest import Answer
 from PIL import Image
 
-from totalediting import checkpoints, cli, losses, perceptual, recognition, showcase, stages
-from totalediting.joint import JointStage
-from totalediting.presets import PRESETS
+from totalediting import (
+    checkpoints,
+    cli,
+    losses,
+    perceptual,
+    recognition,
+    reconstruction,
+    showcase,
+    stages,
+)
+from totalediting.identity import faces_of
+from totalediting.joint import JointStage, RealClips
+from totalediting.presets import PRESETS, preset_with
 from totalediting.reconstruction import ReconstructStage, edit_of
 from totalediting.stages import LightmapStage, TrackerStage
 from totalediting.weights import NetworkError
@@ -145,6 +156,84 @@ def test_all_stages_in_order_and_the_joint_one_goes_on_from_them(
     assert {p.name for p in (tmp_path / "run").iterdir()} == set(stages.STAGES)
     alone = ["train", "joint", small_dataset, "--out", tmp_path / "other", "--batch", 1]
     assert "holds no trained model" in totalediting(*alone, "--workers", 0).error
+
+
+def test_real_clips_are_trained_on_beside_synthetic_pairs(
+    totalediting: Run, small_dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(perceptual, "fetch", _missing)
+    monkeypatch.setattr(recognition, "fetch", _missing)
+    for k in range(3):
+        (tmp_path / "clips" / "one").mkdir(parents=True, exist_ok=True)
+        Image.new("RGB", (40, 30), (60 * k, 90, 120)).save(tmp_path / "clips/one" / f"{k}.png")
+    run = [small_dataset, "--out", tmp_path / "run", "--batch", 1, "--workers", 0]
+    assert totalediting("train", "all", *run, "--steps", 1).returncode == 0
+    shutil.rmtree(tmp_path / "run" / "joint")
+    joint = ["train", "joint", *run, "--steps", 4, "--clips", tmp_path / "clips"]
+    said = totalediting(*joint, "--real-light", "consistent")
+    assert said.returncode == 0, said.stderr
+    real = ["real final" in line for line in trained(tmp_path / "run", "joint")]
+    assert real == [False, True, False, True]
+    lines = trained(tmp_path / "run", "joint")
+    assert "real lightmap" in lines[1] and "real albedo" not in lines[1]
+    assert "give the same" in totalediting(*joint, "--real-light", "same").stderr
+    none = ["train", "joint", *run, "--steps", 1, "--clips", tmp_path / "run"]
+    assert "no clip in it" in totalediting(*none).error
+    half = ["train", "joint", *run, "--steps", 1, "--real-share", 2]
+    assert "--real-share: 2.0: give a number from 0 to 1" in totalediting(*half).error
+
+
+def test_real_steps_are_spread_evenly(small_dataset: Path) -> None:
+    for share, wanted in ((0.0, 0), (0.25, 10), (0.5, 20), (1.0, 40)):
+        real = RealClips(None, None, share)  # pyright: ignore[reportArgumentType]
+        steps = [step for step in range(40) if real.at(step)]
+        assert len(steps) == wanted == real.before(40)
+        assert all(real.before(step) == k for k, step in enumerate(steps))
+
+
+def test_switches_make_another_run(totalediting: Run, small_dataset: Path, tmp_path: Path) -> None:
+    run = ["train", "reconstruct", small_dataset, "--batch", 1, "--workers", 0, "--steps", 1]
+    plain = [*run, "--out", tmp_path / "plain", "--set", "decoder=plain"]
+    assert totalediting(*plain).returncode == 0
+    assert showcase.load_model(tmp_path / "plain").preset.decoder == "plain"
+    surface = ["--set", "deformation=surface_field", "--set", "rotation=surface_field"]
+    assert "set = ['decoder=plain']" in totalediting(*run, "--out", tmp_path / "plain").error
+    assert (
+        "--set: decoder=none: choose of"
+        in totalediting(*run, "--out", tmp_path, "--set", "decoder=none").error
+    )
+    assert preset_with("tiny", surface[1::2]).deformation == "surface_field"
+    faces = faces_of(preset_with("tiny", surface[1::2]))
+    assert faces is not None and faces.min() == 0 and faces.max() == 5464
+
+
+def test_static_pairs_come_first(small_dataset: Path) -> None:
+    stage = ReconstructStage(small_dataset, PRESETS["tiny"], seed=0, workers=0, static_steps=3)
+    batches = stage.batches(0, 4, 0, 1)
+    found = [next(batches) for _ in range(6)]
+    same = [torch.equal(batch.app_code, batch.mot_code) for batch in found]
+    assert same[:3] == [True] * 3 and not all(same[3:])
+    for first in (1, 3, 5):
+        again = next(stage.batches(first, 4, 0, 1))
+        assert again.key == found[first].key and torch.equal(
+            again.mot_image, found[first].mot_image
+        )
+
+
+def test_deformations_are_solved_once(small_dataset: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    stage = ReconstructStage(small_dataset, PRESETS["tiny"], seed=0, workers=0)
+    batch = next(stage.batches(0, 2, 0, 1))
+    solved, asked = stage.network.deformation(batch.control), []
+    real = stage.network.deformation
+    monkeypatch.setattr(
+        stage.network, "deformation", lambda c: (asked.append(len(c.posed)), real(c))[1]
+    )
+    for _ in range(2):
+        assert torch.equal(stage.deformation(stage.network, batch).values, solved.values)
+    assert asked == [2]
+    monkeypatch.setattr(reconstruction, "_ROOM", 0)
+    stage.deformation(stage.network, batch)
+    assert not stage._tables
 
 
 def test_every_joint_term_reaches_what_it_should(

@@ -20,7 +20,7 @@ from assets_procedural.motion import ARKIT_NAMES
 from assets_procedural.panorama import PanoramaError
 from synthgen.dataset import open_dataset
 from synthgen.display import srgb_decode
-from totalediting import environment_lightmaps, lightmaps, shots
+from totalediting import data, environment_lightmaps, lightmaps, shots
 from totalediting.data import PortraitPairs
 from totalediting.errors import InputError
 from totalediting.field import check_control
@@ -70,6 +70,7 @@ def test_shapes_and_ranges(pairs: PortraitPairs):
     batch = next(iter(loader(pairs, 3)))
     expected = {
         "app_image": (3, 24, 24),
+        "app_frontal": (4, 24, 24),
         "mot_image": (3, 24, 24),
         "albedo": (3, 24, 24),
         "normal": (3, 24, 24),
@@ -102,6 +103,46 @@ def test_a_pair_is_two_shots_of_one_subject(pairs: PortraitPairs):
         sample = pairs[number]
         assert sample.key != sample.app_key
         assert sample.key.split("_")[0] == sample.app_key.split("_")[0]
+
+
+def test_static_pairs_have_one_pose(small_dataset: Path):
+    static = PortraitPairs(small_dataset, SMALL, static=True)
+    for number in range(len(static)):
+        sample = static[number]
+        assert torch.equal(sample.app_code, sample.mot_code)
+        assert (sample.key == sample.app_key) == sample.key.startswith("video")
+
+
+def test_a_mirrored_sample_is_the_mirrored_scene(pairs: PortraitPairs):
+    sample = pairs[2]
+    turned = data.mirrored(sample)
+    # What holds of a scene holds of its mirror image: control points, canonical positions and
+    # normals lie where the camera sees them.
+    for one in (sample, turned):
+        side = one.app_image.shape[-1]
+        origin, direction = rays(one.camera_to_world, one.intrinsics, side, side)
+        along = one.depth[0] / (direction @ -one.camera_to_world[:3, 2])
+        place = (origin + along[..., None] * direction)[one.parts[0] > 0]
+        known = one.canonical.movedim(0, -1)[one.parts[0] > 0]
+        assert (place - known).norm(dim=-1).median() < 0.004  # the head is at rest
+        towards = (
+            one.normal.movedim(0, -1)[one.parts[0] > 0] * (one.camera_to_world[:3, 3] - place)
+        ).sum(-1)
+        assert (towards > 0).float().mean() > 0.95
+    assert torch.allclose(
+        turned.points[0], torch.tensor([24.0, 0]) + sample.points[1] * torch.tensor([-1.0, 1])
+    )
+    twice = data.mirrored(turned)._replace(key=sample.key)
+    for name, a, b in zip(sample._fields, sample, twice, strict=True):
+        close = isinstance(a, torch.Tensor) and torch.allclose(a.float(), b.float(), atol=1e-6)
+        assert close or equal(a, b), name
+
+
+def test_augmented_pairs_are_mirrored_half_of_the_time(small_dataset: Path):
+    augmented = PortraitPairs(small_dataset, SMALL, augment=True)
+    keys = [augmented[number].key for number in range(16)]
+    mirrored = [key for key in keys if key.endswith(data.MIRRORED)]
+    assert 2 < len(mirrored) < 14
 
 
 def test_points_project_onto_their_pixels(pairs: PortraitPairs):

@@ -3,10 +3,14 @@
     F_app = E_app(I_app)                                            (paper, section 3.2)
 
 Symbols: B batch, S side of the picture. The picture is display-referred RGB in [0, 1]; both
-branches see it in [-1, 1] together with x and y of each pixel, five channels. The design is that of
+branches see it in [-1, 1] together with x and y of each pixel. The design is that of
 the paper's baseline (Portrait4D, Deng et al. 2024, after Lp3D, Trevithick et al. 2023): a ResNet-34
 with the dilations and the atrous pyramid of DeepLabv3 (Chen et al. 2017) sees what is where, five
 convolutions at half the side keep what is fine. The norms are over groups, not over the batch.
+
+Where we leave it: the fine branch sees the picture laid onto the bust (`frontal`) and that picture
+mirrored, which shows what the pose hides; so detail lies where the planes hold it. The global
+branch sees all three.
 """
 
 from __future__ import annotations
@@ -19,9 +23,11 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from totalediting.blocks import ResidualBlock, conv, conv_norm, coordinates, norm
+from totalediting.frontal import CHANNELS
 from totalediting.presets import Preset
 
-_CHANNELS = 5  # of what the branches see
+_LAID = 2 * CHANNELS + 2  # channels that the fine branch sees: laid, mirrored, x and y
+_SEEN = _LAID + 3  # and the global branch, which sees the picture as well
 _DEPTHS = (3, 4, 6, 3)  # blocks in the stages of ResNet-34, for pictures of _SIDE
 _SIDE = 512
 
@@ -32,11 +38,11 @@ class Appearance(NamedTuple):
     global_: Tensor
     """(B, global_channels, S / 8, S / 8): what is where."""
     detail: Tensor
-    """(B, detail_channels, S / 2, S / 2): texture and edges."""
+    """(B, detail_channels, S / 2, S / 2): texture and edges, on the bust's front."""
 
 
 class AppearanceEncoder(nn.Module):
-    """E_app: pictures (B, 3, S, S) in [0, 1] to `Appearance`."""
+    """E_app: pictures (B, 3, S, S) in [0, 1], as they are and laid out, to `Appearance`."""
 
     xy: Tensor
 
@@ -57,27 +63,31 @@ class AppearanceEncoder(nn.Module):
         self.pyramid = _AtrousPyramid(2 * preset.global_channels, preset)
         self.detail = _detail(preset.detail_channels)
 
-    def forward(self, image: Tensor) -> Appearance:
-        """Encode pictures (B, 3, S, S) in [0, 1].
+    def forward(self, image: Tensor, frontal: Tensor) -> Appearance:
+        """Encode pictures (B, 3, S, S) in [0, 1]; `frontal` is what `frontalise` makes of them.
 
         Raises:
-            ValueError: another shape.
+            ValueError: other shapes than (B, 3, S, S) and (B, 4, S, S).
         """
         side = self.xy.shape[-1]
-        if image.ndim != 4 or image.shape[1:] != (3, side, side):
-            raise ValueError(f"image must be (B, 3, {side}, {side}), got {tuple(image.shape)}")
-        seen = torch.cat([2 * image - 1, self.xy.to(image).expand(len(image), -1, -1, -1)], 1)
-        return Appearance(self.pyramid(self.trunk(seen)), self.detail(seen))
+        for name, x, channels in (("image", image, 3), ("frontal", frontal, CHANNELS)):
+            if x.ndim != 4 or x.shape[1:] != (channels, side, side):
+                wanted = f"(B, {channels}, {side}, {side})"
+                raise ValueError(f"{name} must be {wanted}, got {tuple(x.shape)}")
+        xy = self.xy.to(image).expand(len(image), -1, -1, -1)
+        laid = torch.cat([2 * frontal - 1, 2 * frontal.flip(-1) - 1, xy], 1)
+        seen = torch.cat([2 * image - 1, laid], 1)
+        return Appearance(self.pyramid(self.trunk(seen)), self.detail(laid))
 
 
 def _trunk(preset: Preset) -> nn.Sequential:
-    """(B, 5, S, S) -> (B, 2 global_channels, S / 8, S / 8): ResNet-34 with an output stride of 8.
+    """(B, 13, S, S) -> (B, 2 global_channels, S / 8, S / 8): ResNet-34 with an output stride of 8.
 
     Widths are ResNet-34's where global_channels is 256. A picture of half the side gets half the
     blocks, so that a feature sees about the same share of it.
     """
     width = preset.global_channels // 4
-    layers = [conv(_CHANNELS, width, 7, 2), norm(width), nn.ReLU(), nn.MaxPool2d(3, 2, 1)]
+    layers = [conv(_SEEN, width, 7, 2), norm(width), nn.ReLU(), nn.MaxPool2d(3, 2, 1)]
     widths = (width, width, 2 * width, 4 * width, 8 * width)
     strides, dilations = (1, 2, 1, 1), (1, 1, 2, 4)
     for depth, (channels, out), stride, dilation in zip(
@@ -90,8 +100,8 @@ def _trunk(preset: Preset) -> nn.Sequential:
 
 
 def _detail(out: int) -> nn.Sequential:
-    """(B, 5, S, S) -> (B, out, S / 2, S / 2): five convolutions, without norms, as in Lp3D."""
-    layers: list[nn.Module] = [conv(_CHANNELS, out, 7, 2)]
+    """(B, 10, S, S) -> (B, out, S / 2, S / 2): five convolutions, without norms, as in Lp3D."""
+    layers: list[nn.Module] = [conv(_LAID, out, 7, 2)]
     for _ in range(4):
         layers += [nn.LeakyReLU(0.01), conv(out, out)]
     return nn.Sequential(*layers)

@@ -23,7 +23,7 @@ from typing import Any
 
 import torch
 from safetensors.torch import load_file, save_file
-from torch import Tensor
+from torch import Tensor, nn
 
 from totalediting.errors import InputError
 
@@ -56,7 +56,7 @@ def save(run: Path, checkpoint: Checkpoint, is_best: bool) -> Path:
     try:
         _write(target, checkpoint)
         if is_best:
-            _write_json(run / "best.json", {"step": checkpoint.step})
+            mark_best(run, checkpoint.step)
     except OSError as error:
         left = [path.name for path in _found(run)]
         kept = f"the checkpoint of step {int(left[-1])} is whole" if left else "none is there yet"
@@ -71,9 +71,13 @@ def save(run: Path, checkpoint: Checkpoint, is_best: bool) -> Path:
 
 
 def best_step(run: Path) -> int | None:
-    """The step that validated best so far, None before the first validation."""
+    """The step that validated best so far, None before the first validation.
+
+    Raises:
+        InputError: the file that says so is damaged.
+    """
     path = run / "best.json"
-    return int(json.loads(path.read_text())["step"]) if path.exists() else None
+    return int(_read_json(path)["step"]) if path.exists() else None
 
 
 def best(run: Path, device: str = "cpu") -> Checkpoint:
@@ -86,6 +90,26 @@ def best(run: Path, device: str = "cpu") -> Checkpoint:
     if step is None:
         raise InputError(f"{run}: holds no trained model; train one there first")
     return read(run / "checkpoints" / f"{step:08d}", device)
+
+
+def load_best(run: Path, network: nn.Module) -> None:
+    """Give a network the averaged weights of the checkpoint that validated best.
+
+    Raises:
+        InputError: the folder holds no trained run, or one of another network.
+    """
+    found = best(run)
+    try:
+        network.load_state_dict(found.average)
+    except RuntimeError:
+        raise InputError(
+            f"{run}: holds another network; it was trained with {_built(run)}"
+        ) from None
+
+
+def mark_best(run: Path, step: int) -> None:
+    """Say that the checkpoint of `step` validated best."""
+    _write_json(run / "best.json", {"step": step})
 
 
 def latest(run: Path, device: str = "cpu") -> Checkpoint | None:
@@ -124,7 +148,7 @@ def configure(run: Path, config: dict[str, Any]) -> None:
     """Write what a run trains, or see that it is what was trained there before.
 
     Raises:
-        InputError: the folder holds another run.
+        InputError: the folder holds another run, or cannot be written into.
     """
     path = run / "config.json"
     if path.exists():
@@ -136,20 +160,30 @@ def configure(run: Path, config: dict[str, Any]) -> None:
                     "give the same, or another --out"
                 )
         return
-    run.mkdir(parents=True, exist_ok=True)
-    _write_json(path, config)
+    try:
+        run.mkdir(parents=True, exist_ok=True)
+        _write_json(path, config)
+    except OSError as error:
+        raise InputError(
+            f"{run}: cannot be written into ({error.strerror}); make room or give another --out"
+        ) from None
+
+
+def _built(run: Path) -> str:
+    config = read_config(run)
+    return ", ".join([f"preset = {config['preset']}", *config["set"]])
 
 
 def read_config(run: Path) -> dict[str, Any]:
     """What `configure` wrote.
 
     Raises:
-        InputError: nothing was trained there.
+        InputError: nothing was trained there, or the file is damaged.
     """
     path = run / "config.json"
     if not path.exists():
         raise InputError(f"{run}: nothing was trained there; train it first")
-    return json.loads(path.read_text())
+    return _read_json(path)
 
 
 def optimiser_tensors(optimiser: torch.optim.Optimizer) -> dict[str, Tensor]:
@@ -194,10 +228,24 @@ def _write(target: Path, checkpoint: Checkpoint) -> None:
         shutil.rmtree(temporary, ignore_errors=True)
 
 
+def _read_json(path: Path) -> dict[str, Any]:
+    try:
+        return json.loads(path.read_text())
+    except ValueError as error:
+        raise InputError(
+            f"{path}: does not decode ({error}); restore the file or train in another folder"
+        ) from None
+
+
 def _write_json(path: Path, content: dict[str, Any]) -> None:
+    write_text(path, json.dumps(content, indent=2, sort_keys=True) + "\n")
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a file whole, or leave what was there."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
     try:
-        temporary.write_text(json.dumps(content, indent=2, sort_keys=True) + "\n")
+        temporary.write_text(text)
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)

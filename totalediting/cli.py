@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import math
 import os
 import sys
@@ -118,18 +119,36 @@ def train(
     workers: Annotated[int, typer.Option(min=0, help="Processes that read data.")] = 1,
     device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
     devices: Annotated[int, typer.Option(min=1, help="How many of them.")] = 1,
-    precision: Annotated[str, typer.Option(help="32-true, bf16-mixed or 16-mixed.")] = "32-true",
+    precision: Annotated[str, typer.Option(help="32-true or bf16-mixed.")] = "32-true",
+    switches: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set", metavar="SWITCH=VALUE", help="Ablate: decoder=plain, rotation=none …"
+        ),
+    ] = None,
+    clips: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help="Real videos or frames, for joint.")
+    ] = None,
+    real_share: Annotated[
+        float, typer.Option(help="Share of joint's steps on them: 1 is real data alone.")
+    ] = 0.5,
+    real_light: Annotated[
+        str, typer.Option(help="Their light is seen in another frame (random), same or consistent.")
+    ] = "random",
 ) -> None:
     """Train one stage of the model, or all. Running the same command again resumes."""
     names = ("tracker", "lightmaps", "reconstruct", "joint")
     _choice("STAGE", stage, (*names, "all"))
     _choice("--preset", preset, ("tiny", "small", "full"))
-    _choice("--precision", precision, ("32-true", "bf16-mixed", "16-mixed"))
+    _choice("--precision", precision, ("32-true", "bf16-mixed"))
+    _choice("--real-light", real_light, ("random", "same", "consistent"))
+    if not 0 <= real_share <= 1:
+        raise _error("--real-share", real_share, "give a number from 0 to 1, as 0.5")
     if learning_rate is not None and not 0 < learning_rate < 1:
         raise _error("--learning-rate", learning_rate, "give a number between 0 and 1, as 4e-4")
     if batch is not None and batch % devices:
         raise _error("--batch", batch, f"give a multiple of the {devices} devices")
-    _device(device)
+    _device(device, devices)
 
     import dataclasses
 
@@ -137,22 +156,37 @@ def train(
 
     from totalediting import checkpoints, stages, training
     from totalediting.joint import JointStage
-    from totalediting.presets import PRESETS
+    from totalediting.presets import preset_with
 
     given = {"steps": steps, "batch": batch, "learning_rate": learning_rate}
     given = {name: value for name, value in given.items() if value is not None}
-    machine = training.Machine(device, devices, precision)
-    facts = {"preset": preset, "data": str(data.resolve())}
+    machine = training.Machine(device, devices, precision)  # pyright: ignore[reportArgumentType]
+    built = preset_with(preset, switches or [])
+    facts = {"preset": preset, "set": sorted(switches or []), "data": str(data.resolve())}
     for name in names if stage == "all" else (stage,):
         schedule = dataclasses.replace(stages.SCHEDULES[name], **given)
         torch.manual_seed(seed)
-        made = stages.make(name, data, PRESETS[preset], seed, workers, schedule.steps)
+        for earlier in names if name == "joint" else ():
+            _check_preset(out / earlier, preset)
+        real, seen = None, {}
+        if clips is not None and name == "joint":
+            real = stages.real_clips(clips, out, built, seed, real_share, real_light)
+            seen = {"clips": str(clips.resolve()), "real": real_share, "real light": real_light}
+        made = stages.make(name, data, built, seed, workers, schedule.steps, real)
         if isinstance(made, JointStage):
             if checkpoints.latest(out / name) is None:
                 made.start_from(out)
             for term, reason in made.off.items():
                 typer.echo(f"without {term}: {reason}")
-        figures = training.train(made, out / name, schedule, seed, facts, machine)
+        try:
+            figures = training.train(made, out / name, schedule, seed, facts | seen, machine)
+        except OSError as error:
+            if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+                raise
+            raise InputError(
+                f"{out / name}: cannot be written into ({error.strerror}); make room and run the "
+                "same command again: it goes on from the last checkpoint"
+            ) from None
         for figure, value in figures.items():
             typer.echo(f"{name}: {figure}: {value:.4g}")
         for key, reason in made.skipped.items():
@@ -178,7 +212,7 @@ def show(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="A folder that `train` filled.")],
     data: Annotated[Path, typer.Argument(metavar="DATA", help="A dataset with held-out people.")],
     output: Annotated[
-        Path | None, typer.Option("--output", metavar="PNG", help="Default: RUN.png.")
+        Path | None, typer.Option("--output", metavar="PICTURE", help="Default: RUN.png.")
     ] = None,
 ) -> None:
     """Draw what a trained run does with people that it has not seen."""
@@ -224,13 +258,31 @@ def _check_outputs(environment: Path, outputs: dict[str, Path]) -> None:
         taken[path.resolve()] = f"the file of {option}"
 
 
-def _device(name: str) -> torch.device:
+def _check_preset(run: Path, preset: str) -> None:
+    """What was trained in `run`, if anything, has the sizes of `preset`."""
+    from totalediting import checkpoints
+
+    if checkpoints.best_step(run) is None:
+        return
+    before = checkpoints.read_config(run)["preset"]
+    if before != preset:
+        raise InputError(
+            f"{run}: was trained with preset = {before}, not {preset}; give --preset {before}, or "
+            "another --out"
+        )
+
+
+def _device(name: str, count: int = 1) -> torch.device:
     if name not in ("cpu", "cuda"):
         raise _error("--device", name, "choose cpu or cuda")
     import torch
 
     if name == "cuda" and not torch.cuda.is_available():
         raise _error("--device", name, "PyTorch finds no CUDA device here; use --device cpu")
+    if name == "cuda" and count > (here := torch.cuda.device_count()):
+        raise _error(
+            "--devices", count, f"PyTorch finds {here} CUDA devices here; give at most {here}"
+        )
     return torch.device(name)
 
 

@@ -13,14 +13,25 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import torch
 from torch import Tensor
 
 from totalediting import shots
 from totalediting.field import Control
+from totalediting.frontal import frontalise
+from totalediting.light_mixing import Light, draw_light
+from totalediting.mirroring import (
+    MIRROR,
+    PARTS,
+    mirrored_code,
+    mirrored_lightmaps,
+)
 from totalediting.numbered import Numbered, Unreadable
 from totalediting.presets import Preset
 from totalediting.shots import Shots, head_centre
 
+MIRRORED = " mirrored"
+"""What is added to the key of a mirrored sample."""
 DAMAGE = (ValueError, KeyError, OSError)
 """What a damaged or missing file makes readers raise."""
 
@@ -39,6 +50,8 @@ class Sample(NamedTuple):
 
     app_image: Tensor
     """I_app (3, S, S), display-referred in [0, 1]."""
+    app_frontal: Tensor
+    """(4, S, S) what `frontal.frontalise` makes of it."""
     mot_image: Tensor
     """I_mot and target I* (3, S, S)."""
     albedo: Tensor
@@ -90,15 +103,22 @@ class PortraitPairs(Numbered[Sample]):
         seed: int = 0,
         subset: str | None = None,
         relit: bool = False,
+        augment: bool = False,
+        static: bool = False,
     ) -> None:
-        """`relit` adds the motion shot in another environment, in the same where it has but one.
+        """Make pairs.
+
+        `relit` adds the motion shot in another environment, in the same where it has but one.
+        `augment` mirrors every second sample, at random, and mixes light, see `light_mixing`. In
+        `static` pairs, both shots have one pose: in a video subset they are the same.
 
         Raises:
             InputError: no dataset, one of another format, no such split or subset, an empty one.
         """
         self.shots = Shots(folder, split, subset)
         super().__init__(self.shots.keys, seed)
-        self.side, self.rows, self.relit = preset.image, preset.lightmap_height, relit
+        self.side, self.rows = preset.image, preset.lightmap_height
+        self.relit, self.augment, self.static = relit, augment, static
         self._of_subject: dict[str, list[int]] = {}
         for position, subject in enumerate(self.shots.subjects):
             self._of_subject.setdefault(subject, []).append(position)
@@ -106,32 +126,49 @@ class PortraitPairs(Numbered[Sample]):
     def make(self, item: int, rng: np.random.Generator) -> Sample:
         """The sample whose motion shot is number `item`; raises `Unreadable`."""
         same = [other for other in self._of_subject[self.shots.subjects[item]] if other != item]
+        if self.static and self.shots.moves(item):
+            same = []
         other = int(rng.choice(same)) if same else item
         count = self.shots.environments(item)
-        app_light, mot_light = (int(light) for light in rng.integers(count, size=2))
-        another = (mot_light + 1 + int(rng.integers(max(count - 1, 1)))) % count
+        app_light, mot_light = (draw_light(rng, count, self.augment) for _ in range(2))
+        another = (mot_light.environments[0] + 1 + int(rng.integers(max(count - 1, 1)))) % count
+        turn = self.augment and bool(rng.random() < 0.5)
         try:
-            app_image, app_code = self._appearance(other, app_light)
+            appearance = self._appearance(other, app_light)
         except DAMAGE as error:
             raise Unreadable(other, reason(error)) from error
         try:
-            return self._sample(item, mot_light, another, other, app_image, app_code)
+            sample = self._sample(item, mot_light, another, other, *appearance)
         except DAMAGE as error:
             raise Unreadable(item, reason(error)) from error
+        return mirrored(sample) if turn else sample
 
-    def _appearance(self, position: int, light: int) -> tuple[Tensor, Tensor]:
-        rgb = f"rgb_{light:02d}"
-        stored = self.shots.read(position, rgb, "meta")
-        return shots.picture(stored[rgb], self.side), shots.motion_code(stored["meta"])
+    def _appearance(self, position: int, light: Light) -> tuple[Tensor, Tensor, Tensor]:
+        """I_app, laid out, and e_app."""
+        stored = self.shots.read(position, *light.members(), "geometry", "meta")
+        image, meta = light.picture(stored, self.side), stored["meta"]
+        origin = head_centre(stored["geometry"]["landmarks_canonical"])
+        control = shots.control(stored["geometry"], origin)
+        camera = shots.camera(meta, origin, self.side)
+        alone = (a[None] for a in control), (a[None] for a in camera)
+        frontal = frontalise(image[None], Control(*alone[0]), *alone[1])[0]
+        return image, frontal, shots.motion_code(meta)
 
     def _sample(
-        self, item: int, light: int, another: int, other: int, app_image: Tensor, app_code: Tensor
+        self,
+        item: int,
+        light: Light,
+        another: int,
+        other: int,
+        app_image: Tensor,
+        app_frontal: Tensor,
+        app_code: Tensor,
     ) -> Sample:
-        rgb, rgb_relit = f"rgb_{light:02d}", f"rgb_{another:02d}"
+        rgb, rgb_relit = light.members(), f"rgb_{another:02d}"
         labels = (
             "albedo", "normal", "depth", "canonical", "alpha", "parts", "geometry", "meta",
         )  # fmt: skip
-        wanted = {rgb, rgb_relit, *labels} if self.relit else {rgb, *labels}
+        wanted = {*rgb, rgb_relit, *labels} if self.relit else {*rgb, *labels}
         stored = self.shots.read(item, *sorted(wanted))
         meta, parts, side = stored["meta"], stored["parts"], self.side
         origin = head_centre(stored["geometry"]["landmarks_canonical"])
@@ -145,7 +182,8 @@ class PortraitPairs(Numbered[Sample]):
             )
         return Sample(
             app_image=app_image,
-            mot_image=shots.picture(stored[rgb], side),
+            app_frontal=app_frontal,
+            mot_image=light.picture(stored, side),
             albedo=shots.albedo(stored["albedo"], side),
             normal=(camera_to_world[:3, :3] @ normal.flatten(1)).view_as(normal),
             alpha=shots.alpha(stored["alpha"], side),
@@ -158,11 +196,42 @@ class PortraitPairs(Numbered[Sample]):
             camera_to_world=camera_to_world,
             intrinsics=intrinsics,
             control=shots.control(stored["geometry"], origin),
-            lightmaps=self.shots.lightmaps(meta, light, self.rows),
+            lightmaps=light.lightmaps(self.shots, meta, self.rows),
             relit=relit,
             key=self.keys[item],
             app_key=self.keys[other],
         )
+
+
+def mirrored(sample: Sample) -> Sample:
+    """A sample as a mirror shows it, in model space and in pictures; twice gives what it was."""
+    side, m = sample.app_image.shape[-1], MIRROR
+    plane = torch.diag(torch.cat([m, m.new_ones(1)]))
+    flip = sample.intrinsics.new_tensor([[1.0, 1.0, -1.0], [1, 1, 1], [1, 1, 1]])
+    relit = sample.relit
+    if relit is not None:
+        relit = Relit(relit.image.flip(-1), mirrored_lightmaps(relit.lightmaps))
+    return Sample(
+        app_image=sample.app_image.flip(-1),
+        app_frontal=sample.app_frontal.flip(-1),
+        mot_image=sample.mot_image.flip(-1),
+        albedo=sample.albedo.flip(-1),
+        normal=sample.normal.flip(-1) * m[:, None, None],
+        alpha=sample.alpha.flip(-1),
+        parts=PARTS[sample.parts.long()].flip(-1),
+        depth=sample.depth.flip(-1),
+        canonical=sample.canonical.flip(-1) * m[:, None, None],
+        points=(sample.points * m[:2] + side * (1 - m[:2]) / 2)[[1, 0, 2, 4, 3]],
+        app_code=mirrored_code(sample.app_code),
+        mot_code=mirrored_code(sample.mot_code),
+        camera_to_world=plane @ sample.camera_to_world @ plane,
+        intrinsics=sample.intrinsics * flip + (1 - flip) / 2 * side,
+        control=Control(*(a * m for a in sample.control)),
+        lightmaps=mirrored_lightmaps(sample.lightmaps),
+        relit=relit,
+        key=sample.key + MIRRORED,
+        app_key=sample.app_key,
+    )
 
 
 def reason(error: BaseException) -> str:

@@ -63,16 +63,31 @@ class Table:
     quaternions are interpolated, the latter normalised after it; outside, the border's are used.
     """
 
-    def __init__(self, field: Field, low: Tensor, high: Tensor, resolution: int) -> None:
+    def __init__(self, values: Tensor, low: Tensor, high: Tensor, lead: tuple[int, ...]) -> None:
+        """`values` (prod(lead), 7, n, n, n): offsets, then quaternions; z, y, x of the nodes."""
+        self.values, self.low, self.high, self.lead = values, low, high, lead
+
+    @classmethod
+    def of(cls, field: Field, low: Tensor, high: Tensor, resolution: int) -> Table:
         """`field` at `nodes(low, high, resolution)`, with leading dimensions at will."""
-        lead = field.position.shape[:-2]
+        lead = tuple(field.position.shape[:-2])
         offset = field.position - nodes(low, high, resolution).to(field.position)
         # q and -q are one rotation: to be averaged, all must lie on one side.
         side = (field.quaternion * field.quaternion[..., :1, :]).sum(-1, keepdim=True)
         sign = torch.where(side < 0, -1.0, 1.0)
         values = torch.cat([offset, sign * field.quaternion], -1)
-        self.values = values.reshape(-1, *(resolution,) * 3, 7).movedim(-1, 1).contiguous()
-        self.low, self.high, self.lead = low, high, lead
+        values = values.reshape(-1, *(resolution,) * 3, 7).movedim(-1, 1).contiguous()
+        return cls(values, low, high, lead)
+
+    @classmethod
+    def stack(cls, tables: list[Table]) -> Table:
+        """Tables without leading dimensions, over one box, as one of (B,)."""
+        values = torch.cat([table.values for table in tables])
+        return cls(values, tables[0].low, tables[0].high, (len(tables),))
+
+    def unstack(self) -> list[Table]:
+        """The inverse of `stack`."""
+        return [Table(values, self.low, self.high, ()) for values in self.values.split(1)]
 
     @torch.no_grad()
     def __call__(self, points: Tensor) -> Field:
@@ -118,7 +133,7 @@ def tabulate(
     if resolution < 2:
         raise ValueError(f"resolution must be at least 2, got {resolution}")
     points = nodes(low, high, resolution).expand(*lead, -1, 3)
-    return Table(field(points), low, high, resolution)
+    return Table.of(field(points), low, high, resolution)
 
 
 def nodes(low: Tensor, high: Tensor, resolution: int) -> Tensor:

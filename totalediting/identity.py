@@ -26,6 +26,7 @@ from assets_procedural.landmarks import skin_weights
 from assets_procedural.person import Person
 from assets_procedural.person_sampling import PeopleSettings, sample_person
 from totalediting.motion import IDENTITY
+from totalediting.presets import Preset
 from totalediting.shots import ORIGIN_LANDMARKS
 
 PEOPLE, SEED = 300, 20250
@@ -104,6 +105,15 @@ def neutral_bust(model: HeadModel, person: Person) -> np.ndarray:
     identity = model.identity(person)
     origin = (skin_weights(model)[list(ORIGIN_LANDMARKS)] @ identity.rest).mean(axis=0)
     return np.concatenate([identity.rest, identity.joints]) - origin
+
+
+def faces_of(preset: Preset) -> Tensor | None:
+    """The triangles (F, 3) between control points that a preset's surface field takes, if any."""
+    if "surface_field" not in (preset.deformation, preset.rotation):
+        return None
+    model = _head()
+    quads = torch.from_numpy(np.searchsorted(model.groups["skin"], model.faces["skin"]))
+    return torch.cat([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
 
 
 def _make(model: HeadModel) -> IdentityBasis:

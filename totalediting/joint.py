@@ -1,18 +1,22 @@
 """The joint stage: everything together, L = L_rec + L_reg + L_adv (paper, supplement A).
 
 The model goes on from the stage `reconstruct`, the lightmap estimator from `lightmaps`, without its
-normal decoder. In every other step the light is what the estimator sees in the driver's picture, so
-that it learns from the result as well; else it is the truth.
+normal decoder. In every other step on synthetic pairs the light is what the estimator sees in the
+driver's picture, so that it learns from the result as well; else it is the truth. Real pairs, two
+frames of a clip, are described by the head tracker; their light is always the estimator's.
 
 The discriminator is trained in the same step by the same optimiser: the generator's term passes
 through a copy of its weights that receives no gradient, its own terms see pictures that receive
-none. So the two descend at once rather than in turns, and a run has one state to save.
+none. So the two descend at once rather than in turns, and a run has one state to save. It judges
+synthetic pairs, whose canonical coordinates are known.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import torch
 from torch import Tensor, nn
@@ -20,21 +24,49 @@ from torch.func import functional_call
 from torch.nn import functional
 
 from totalediting import checkpoints, discriminator, illumination, losses
+from totalediting.clips import ClipPair, Clips
 from totalediting.data import Sample
 from totalediting.discriminator import Discriminator
+from totalediting.frontal import frontalise
 from totalediting.illumination import LightmapEstimator
 from totalediting.lightmaps import encode, rotate
 from totalediting.model import Edit, TotalEditing
+from totalediting.motion import HeadTracker
+from totalediting.numbered import loader
+from totalediting.objective import Truth, terms, truth_of
 from totalediting.perceptual import Lpips
 from totalediting.presets import Preset
 from totalediting.recognition import Recognition
-from totalediting.reconstruction import Pairs, edit_of, generator_on, terms, validate
+from totalediting.reconstruction import Pairs, edit_of, generator_on, validate
+from totalediting.tracked import camera_of, control_of
 from totalediting.weights import NetworkError
 
 R1_EVERY = 16
 """Steps between penalties of the discriminator's gradient, each of which counts as many times."""
 R1 = 1.0
 """Their gamma, EG3D's for faces of 128 pixels."""
+
+
+@dataclass(frozen=True)
+class RealClips:
+    """Real video in training, and how its light is found."""
+
+    clips: Clips
+    tracker: HeadTracker
+    """What describes frames; it does not learn."""
+    share: float = 0.5
+    """Of the steps that are real: 0 trains on synthetic data alone, 1 on real alone."""
+    light: Literal["random", "same", "consistent"] = "random"
+    """What the estimator sees: another frame of the clip, which tells nothing of the target (the
+    paper's), the target itself, or the target, held to what it sees in another frame by L1."""
+
+    def before(self, step: int) -> int:
+        """Real steps before a step: they are spread evenly."""
+        return int(self.share * step + 1e-9)
+
+    def at(self, step: int) -> bool:
+        """Whether a step is real."""
+        return self.before(step + 1) > self.before(step)
 
 
 Loss = tuple[Tensor, dict[str, float]]
@@ -50,7 +82,7 @@ class Joint(nn.Module):
         self,
         preset: Preset,
         faces: Tensor | None,
-        objective: Callable[[Sample, int], Loss],
+        objective: Callable[[Sample | ClipPair, int], Loss] | None = None,
     ) -> None:
         super().__init__()
         self.objective = objective
@@ -60,7 +92,8 @@ class Joint(nn.Module):
         for part in (self.estimator.up, self.estimator.to_normal):
             part.requires_grad_(False)
 
-    def forward(self, batch: Sample, step: int) -> Loss:
+    def forward(self, batch: Sample | ClipPair, step: int) -> Loss:
+        assert self.objective is not None  # only training calls this
         return self.objective(batch, step)
 
 
@@ -80,9 +113,10 @@ class JointStage(Pairs):
         workers: int = 1,
         faces: Tensor | None = None,
         weights: losses.LossWeights = losses.OURS,
+        real: RealClips | None = None,
     ) -> None:
         super().__init__(data, preset, seed, workers)
-        self.weights = weights
+        self.weights, self.real = weights, real
         self.network = Joint(preset, faces, self._objective)
         self.texels = illumination.texel_weights(preset.lightmap_height)
         self.off: dict[str, str] = {}
@@ -99,12 +133,74 @@ class JointStage(Pairs):
             (self.network.model, "reconstruct"),
             (self.network.estimator, "lightmaps"),
         ):
-            part.load_state_dict(checkpoints.best(run / stage).average)
+            checkpoints.load_best(run / stage, part)
 
-    def loss(self, network: nn.Module, batch: Sample, step: int) -> Loss:
+    @property
+    def skipped(self) -> dict[str, str]:
+        """Training pairs and clips that could not be read, and why."""
+        return super().skipped | (self.real.clips.skipped if self.real else {})
+
+    def batches(self, first: int, size: int, rank: int, ranks: int) -> Iterator[Sample | ClipPair]:
+        real = self.real
+        if real is None:
+            yield from super().batches(first, size, rank, ranks)
+            return
+        before = real.before(first)
+        start = before * size * ranks
+        clips = iter(loader(real.clips, size, self.workers, start, rank=rank, world=ranks))
+        pairs = super().batches(first - before, size, rank, ranks)
+        step = first
+        while True:
+            yield next(clips) if real.at(step) else next(pairs)
+            step += 1
+
+    def loss(self, network: nn.Module, batch: Sample | ClipPair, step: int) -> Loss:
         return network(batch, step)
 
-    def _objective(self, batch: Sample, step: int) -> Loss:
+    def _objective(self, batch: Sample | ClipPair, step: int) -> Loss:
+        if isinstance(batch, Sample):
+            return self._synthetic(batch, step)
+        return self._real(batch, step)
+
+    def _real(self, batch: ClipPair, step: int) -> Loss:
+        """L_1, L_LPIPS, L_seg and L_n where a clip has mattes and normals, and L_reg."""
+        assert self.real is not None
+        joint, factors, real = self.network, self.weights.at(step), self.real
+        image, side = batch.mot_image, batch.mot_image.shape[-1]
+        generator = generator_on(image.device)
+        with torch.no_grad():
+            tracker = real.tracker.to(image.device).eval()
+            app, mot = tracker(batch.app_image), tracker(image)
+            frontal = frontalise(batch.app_image, control_of(app), *camera_of(app, side))
+            camera_to_world, intrinsics = camera_of(mot, side)
+        seen = batch.light_image if real.light == "random" else image
+        code = joint.estimator(seen).code
+        # A clip's camera stands still: what one frame sees of the light holds for all.
+        edit = joint.model(
+            batch.app_image,
+            frontal,
+            app.code,
+            mot.code,
+            control_of(mot),
+            camera_to_world,
+            intrinsics,
+            illumination.unfold(code.clamp_min(0).expm1(), joint.estimator.height),
+            camera_to_world[:, :3, :3].mT,
+            generator=generator,
+        )
+        normal = (camera_to_world[:, :3, :3] @ batch.normal.flatten(2)).view_as(batch.normal)
+        truth = Truth(image, batch.alpha, batch.matted, normal, None, None)
+        found = terms(joint.model, edit, truth, factors, generator)
+        if real.light == "consistent":
+            other = joint.estimator(batch.light_image).code
+            found["lightmap"] = losses.lightmap_loss(code, other, self.texels.to(code.device))
+        if self.lpips is not None:
+            matte = batch.alpha
+            found["lpips"] = self.lpips.to(image.device)(matte * edit.image, matte * image).mean()
+        total = losses.total(found, self.weights, step)
+        return total.loss, {f"real {name}": value for name, value in total.scalars.items()}
+
+    def _synthetic(self, batch: Sample, step: int) -> Loss:
         joint, factors = self.network, self.weights.at(step)
         generator = generator_on(batch.app_image.device)
         to_camera = batch.camera_to_world[:, :3, :3].mT
@@ -114,8 +210,9 @@ class JointStage(Pairs):
             maps = code.clamp_min(0).expm1()
             seen = illumination.unfold(maps, joint.estimator.height)
             to_light = to_camera
-        edit = edit_of(joint.model, batch, generator, seen, to_light)
-        found = terms(joint.model, edit, batch, factors, generator)
+        table = self.deformation(joint.model, batch)
+        edit = edit_of(joint.model, batch, generator, seen, to_light, control=table)
+        found = terms(joint.model, edit, truth_of(batch), factors, generator)
         truth = rotate(batch.lightmaps, batch.camera_to_world[:, :3, :3])
         weights = self.texels.to(code.device)
         found["lightmap"] = losses.lightmap_loss(code, encode(illumination.fold(truth)), weights)

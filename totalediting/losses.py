@@ -29,6 +29,7 @@ TERMS = (
     "mask",
     "albedo",
     "normal",
+    "surface",
     "lightmap",
     "tv",
     "residual",
@@ -36,7 +37,8 @@ TERMS = (
     "adversarial",
 )
 """Names of the terms: L_1 of the final, the volume-rendered and the foreground picture, L_LPIPS,
-L_id, L_seg, L_a, L_n, L_S, R_TV, R_delta, R_n, L_adv."""
+L_id, L_seg, L_a, L_n, ours that draws density onto the true surface, L_S, R_TV, R_delta, R_n,
+L_adv."""
 _RUN = 100_000  # steps that the presets' schedules are meant for
 
 
@@ -49,9 +51,10 @@ class LossWeights:
     foreground: float = 1.0
     lpips: float = 1.0
     identity: float = 1.0
-    mask: float = 0.3
+    mask: float = 1.0
     albedo: float = 1.0
     normal: float = 0.5
+    surface: float = 5.0
     lightmap: float = 1.0
     tv: float = 0.25
     residual: float = 0.1
@@ -99,6 +102,7 @@ PAPER = LossWeights(
     foreground=0.0,
     mask=1.0,
     normal=1.0,
+    surface=0.0,
     tv=1.0,
     residual=1.0,
     density_normal=1.0,
@@ -175,9 +179,12 @@ def identity_loss(features: Tensor, truth: Tensor) -> Tensor:
     return 1.0 - F.cosine_similarity(features, truth.detach(), dim=-1).mean()
 
 
-def mask_loss(opacity: Tensor, matte: Tensor) -> Tensor:
-    """L_seg: L1 of the rendered opacity against the matte, (B, 1, H, W) in [0, 1]."""
-    return l1(opacity, matte)
+def mask_loss(opacity: Tensor, matte: Tensor, known: Tensor | None = None) -> Tensor:
+    """L_seg: L1 of the rendered opacity against the matte, (B, 1, H, W) in [0, 1].
+
+    `known` weighs pictures, as (B, 1, 1, 1): some have no matte.
+    """
+    return l1(opacity, matte, known)
 
 
 def albedo_loss(albedo: Tensor, truth: Tensor, matte: Tensor) -> Tensor:
@@ -201,6 +208,24 @@ def normal_loss(normal: Tensor, truth: Tensor, matte: Tensor) -> Tensor:
     return _mean(1.0 - cosine, matte * known)
 
 
+def surface_loss(weights: Tensor, points: Tensor, truth: Tensor, known: Tensor) -> Tensor:
+    """How far what is seen lies from the true surface, metres: the mean over rays of the samples'
+    mean distance from it, by their render weights.
+
+    Ours: in a fog the picture says little of where things are, and exact labels do. Both the depth
+    of what is seen and its spread count; how much is seen does not.
+
+    Args:
+        weights: (B, R, S) of the samples.
+        points: (B, R, S, 3) their canonical positions.
+        truth: (B, R, 3) canonical position of the surface that a ray meets first.
+        known: (B, R) weight of a ray, 0 where it meets none.
+    """
+    distance = (points - truth[:, :, None]).norm(dim=-1)
+    seen = (weights * distance).sum(-1) / weights.sum(-1).clamp_min(1e-3)
+    return _mean(seen, known)
+
+
 def lightmap_loss(code: Tensor, truth: Tensor, weights: Tensor) -> Tensor:
     """L_S: L1 of lightmaps at queries, (B, Q, 3) as log(1 + light), by solid angle (Q,).
 
@@ -216,11 +241,6 @@ def lightmap_loss(code: Tensor, truth: Tensor, weights: Tensor) -> Tensor:
 def tv_loss(density: Tensor, beside: Tensor) -> Tensor:
     """R_TV: L1 between densities (B, N) at points and at the points jittered, as EG3D's."""
     return l1(density, beside)
-
-
-def residual_loss(residual: Tensor) -> Tensor:
-    """R_delta: mean absolute residual colour, of any shape."""
-    return residual.abs().mean()
 
 
 def density_normal_loss(normal: Tensor, density_normal: Tensor, weights: Tensor) -> Tensor:

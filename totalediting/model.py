@@ -92,9 +92,10 @@ class TotalEditing(nn.Module):
     def forward(
         self,
         app_image: Tensor,
+        app_frontal: Tensor,
         e_app: Tensor,
         e_mot: Tensor,
-        control: Control | None,
+        control: Control | Table | None,
         camera_to_world: Tensor,
         intrinsics: Tensor,
         lightmaps: Tensor,
@@ -107,9 +108,10 @@ class TotalEditing(nn.Module):
 
         Args:
             app_image: I_app (B, 3, S, S) in [0, 1].
+            app_frontal: what `frontal.frontalise` makes of it (B, 4, S, S).
             e_app, e_mot: (B, 54) codes of the motion in I_app and of the motion to show.
-            control: the bust in the pose to show and at rest (B, V, 3), model space; None where it
-                is at rest.
+            control: the bust in the pose to show and at rest (B, V, 3), model space, or what
+                `deformation` makes of it; None where it is at rest.
             camera_to_world: (B, 4, 4) into model space.
             intrinsics: (B, 3, 3) in pixels of side S.
             lightmaps: (B, 5, 3, H, 2H), normalised, exposed as the result shall be.
@@ -122,7 +124,7 @@ class TotalEditing(nn.Module):
         Raises:
             ValueError: a shape does not fit.
         """
-        planes = self.encode(app_image, e_app, e_mot)
+        planes = self.encode(app_image, app_frontal, e_app, e_mot)
         behind = self.background(app_image) if background is None else background
         return self.show(
             planes,
@@ -136,16 +138,18 @@ class TotalEditing(nn.Module):
             window,
         )
 
-    def encode(self, app_image: Tensor, e_app: Tensor, e_mot: Tensor) -> Planes:
+    def encode(
+        self, app_image: Tensor, app_frontal: Tensor, e_app: Tensor, e_mot: Tensor
+    ) -> Planes:
         """Appearance and expression to canonical tri-planes."""
-        f_app, detail = self.appearance(app_image)
+        f_app, detail = self.appearance(app_image, app_frontal)
         f = fuse(self.deenactor, self.reenactor, f_app, e_app, e_mot)
         return Planes(self.geometry_encoder(f, detail), self.shading_encoder(f, detail))
 
     def show(
         self,
         planes: Planes,
-        control: Control | None,
+        control: Control | Table | None,
         camera_to_world: Tensor,
         intrinsics: Tensor,
         lightmaps: Tensor,
@@ -165,6 +169,8 @@ class TotalEditing(nn.Module):
             background = window.of(background)
         if to_light is None:
             to_light = torch.eye(3).to(lightmaps).expand(len(lightmaps), 3, 3)
+        if isinstance(control, Control):
+            control = self.deformation(control)
         rendering = render(
             planes.geometry,
             planes.shading,
@@ -173,7 +179,7 @@ class TotalEditing(nn.Module):
             intrinsics,
             lightmaps,
             to_light,
-            None if control is None else self.deformation(control),
+            control,
             preset,
             generator,
             side=side,
@@ -200,4 +206,5 @@ class TotalEditing(nn.Module):
             return Field(moved.position, one(preset.rotation, points).quaternion)
 
         low, high = (control.posed.new_tensor(corner) for corner in (BOX_LOW, BOX_HIGH))
-        return tabulate(field, low, high, preset.field, lead=control.posed.shape[:-2])
+        with torch.autocast(low.device.type, enabled=False):
+            return tabulate(field, low, high, preset.field, lead=control.posed.shape[:-2])

@@ -11,21 +11,23 @@ angles that turn to the left turn to the right.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from assets_procedural.motion import ARKIT_NAMES
 from assets_procedural.person import Person
 from totalediting import shots
 from totalediting.data import DAMAGE, reason
 from totalediting.identity import IdentityBasis, identity_basis
+from totalediting.light_mixing import draw_light
+from totalediting.mirroring import EXPRESSIONS, MIRROR, PARTS, mirrored_lightmaps
 from totalediting.motion import Tracking
 from totalediting.numbered import Numbered, Unreadable
 from totalediting.presets import Preset
 from totalediting.shots import Shots
+from totalediting.tracked import reframed
 
 
 class Portrait(NamedTuple):
@@ -58,8 +60,9 @@ class Portraits(Numbered[Portrait]):
         seed: int = 0,
         subset: str | None = None,
         mirror: bool = False,
+        mix: bool = False,
     ) -> None:
-        """`mirror` mirrors every second one, at random.
+        """`mirror` mirrors every second one, at random; `mix` mixes light, see `light_mixing`.
 
         Raises:
             InputError: no dataset, one of another format, no such split or subset, an empty one.
@@ -67,38 +70,41 @@ class Portraits(Numbered[Portrait]):
         """
         self.shots = Shots(folder, split, subset)
         super().__init__(self.shots.keys, seed)
-        self.side, self.rows, self.mirror = preset.image, preset.lightmap_height, mirror
+        self.side, self.rows = preset.image, preset.lightmap_height
+        self.mirror, self.mix = mirror, mix
         self.basis = identity_basis()
-        self._identities: dict[str, Tensor] = {}
+        self._truths: dict[int, Tracking] = {}
 
     def make(self, item: int, rng: np.random.Generator) -> Portrait:
         """Shot number `item` under a random environment; raises `Unreadable`."""
-        light = int(rng.integers(self.shots.environments(item)))
-        turn = self.mirror and bool(rng.random() < 0.5)
-        rgb, side = f"rgb_{light:02d}", self.side
+        light = draw_light(rng, self.shots.environments(item), self.mix)
+        turn, side = self.mirror and bool(rng.random() < 0.5), self.side
         try:
-            stored = self.shots.read(item, rgb, "normal", "alpha", "parts", "meta")
+            stored = self.shots.read(item, *light.members(), "normal", "alpha", "parts", "meta")
             meta, parts = stored["meta"], stored["parts"]
             frame = torch.tensor(meta["camera"]["camera_to_world"])[:3, :3]
             portrait = Portrait(
-                image=shots.picture(stored[rgb], side),
-                lightmaps=self.shots.lightmaps(meta, light, self.rows, frame),
+                image=light.picture(stored, side),
+                lightmaps=light.lightmaps(self.shots, meta, self.rows, frame),
                 normal=shots.normals(stored["normal"], parts, side),
                 alpha=shots.alpha(stored["alpha"], side),
                 parts=shots.parts(parts, side),
-                truth=shots.tracking(meta, self._identity(item, meta["person"])),
+                truth=self._truth(item, meta),
                 key=self.keys[item],
             )
         except DAMAGE as error:
             raise Unreadable(item, reason(error)) from error
         return mirrored(portrait, self.basis) if turn else portrait
 
-    def _identity(self, item: int, person: dict) -> Tensor:
-        subject = self.shots.subjects[item]
-        if subject not in self._identities:
-            found = self.basis.coefficients(Person.model_validate(person))
-            self._identities[subject] = found
-        return self._identities[subject]
+    def _truth(self, item: int, meta: dict[str, Any]) -> Tracking:
+        """What a tracker should find in a shot; found out once."""
+        if item not in self._truths:
+            identity = self.basis.coefficients(Person.model_validate(meta["person"]))
+            truth = shots.tracking(meta, identity)
+            if self.shots.moves(item):  # a video is framed by the head at rest
+                truth = Tracking(*(f[0] for f in reframed(Tracking(*(f[None] for f in truth)))))
+            self._truths[item] = truth
+        return self._truths[item]
 
 
 def mirrored(portrait: Portrait, basis: IdentityBasis) -> Portrait:
@@ -106,27 +112,19 @@ def mirrored(portrait: Portrait, basis: IdentityBasis) -> Portrait:
     return Portrait(
         image=portrait.image.flip(-1),
         lightmaps=mirrored_lightmaps(portrait.lightmaps),
-        normal=portrait.normal.flip(-1) * _MIRROR[:, None, None],
+        normal=portrait.normal.flip(-1) * MIRROR[:, None, None],
         alpha=portrait.alpha.flip(-1),
-        parts=_PARTS[portrait.parts.long()].flip(-1),
+        parts=PARTS[portrait.parts.long()].flip(-1),
         truth=mirrored_tracking(portrait.truth, basis),
         key=portrait.key,
     )
 
 
-def mirrored_lightmaps(maps: Tensor) -> Tensor:
-    """Maps (..., H, 2H) whose value at (x, y, z) is the old one at (-x, y, z), exactly.
-
-    The azimuth becomes pi less it, so that column j takes column H - 1 - j, modulo 2H.
-    """
-    return maps.flip(-1).roll(maps.shape[-2], -1)
-
-
 def mirrored_tracking(truth: Tracking, basis: IdentityBasis) -> Tracking:
     """Left for right; fields (..., C)."""
     return Tracking(
-        expression=truth.expression[..., _EXPRESSIONS],
-        gaze=truth.gaze * truth.gaze.new_tensor([-1.0, 1.0]),
+        expression=truth.expression[..., EXPRESSIONS],
+        gaze=truth.gaze * MIRROR[:2].to(truth.gaze),
         head=truth.head * truth.head.new_tensor([1.0, -1.0, -1.0]),
         identity=basis.mirrored(truth.identity),
         camera_yaw_pitch_roll=truth.camera_yaw_pitch_roll
@@ -135,17 +133,3 @@ def mirrored_tracking(truth: Tracking, basis: IdentityBasis) -> Tracking:
         log_fill=truth.log_fill,
         shift=truth.shift * truth.shift.new_tensor([-1.0, 1.0]),
     )
-
-
-def _other_side(name: str) -> str:
-    if name.endswith("Left"):
-        return name.removesuffix("Left") + "Right"
-    return name.removesuffix("Right") + "Left" if name.endswith("Right") else name
-
-
-_MIRROR = torch.tensor([-1.0, 1.0, 1.0])
-_EXPRESSIONS = [ARKIT_NAMES.index(_other_side(name)) for name in ARKIT_NAMES]
-_PARTS = torch.arange(256, dtype=torch.uint8)
-_PARTS[[3, 4, 5, 6, 7, 8]] = torch.tensor(
-    [4, 3, 6, 5, 8, 7], dtype=torch.uint8
-)  # eyes, brows, ears

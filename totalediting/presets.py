@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
+
+from totalediting.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -160,3 +162,31 @@ PRESETS = {
     )
 }
 """`tiny` trains in minutes on two cores, `small` on one GPU, `full` has the paper's sizes."""
+
+
+SWITCHES = {
+    "alpha": ("1", "1.5", "2", "3"),
+    "deformation": ("mls", "surface_field"),
+    "rotation": ("mls", "surface_field", "none"),
+    "decoder": ("phong", "plain"),
+    "colour": ("linear", "srgb"),
+}
+"""What an ablation may change in a preset, and to what."""
+
+
+def preset_with(name: str, changes: list[str]) -> Preset:
+    """The preset `name` with switches set, each as "decoder=plain".
+
+    Raises:
+        InputError: no such preset, switch or value.
+    """
+    if name not in PRESETS:
+        raise InputError(f"--preset: {name}: choose {', '.join(PRESETS)}")
+    values: dict[str, str | float] = {}
+    for change in changes:
+        switch, _, value = change.partition("=")
+        if value not in SWITCHES.get(switch, ()):
+            known = "; ".join(f"{k}={'|'.join(v)}" for k, v in SWITCHES.items())
+            raise InputError(f"--set: {change}: choose of {known}")
+        values[switch] = float(value) if switch == "alpha" else value
+    return replace(PRESETS[name], **values)  # pyright: ignore[reportArgumentType]

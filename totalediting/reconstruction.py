@@ -1,6 +1,6 @@
 """Reconstruction: the model against pairs of pictures of one person, L_rec + L_reg.
 
-Only the subject counts: the two pictures of a pair may have other backgrounds. B, S, h as in
+First the two have one pose and expression and differ in view and light, then in all. B, S, h as in
 `totalediting.model`.
 """
 
@@ -15,16 +15,17 @@ from torch.nn import functional
 
 from totalediting import losses, metrics, phong
 from totalediting.data import PortraitPairs, Sample
+from totalediting.field import Control, Table
 from totalediting.model import Edit, TotalEditing, Window
 from totalediting.numbered import loader, to_device
+from totalediting.objective import terms, truth_of
 from totalediting.presets import Preset
-from totalediting.rendering import density_jitter, density_normals
 
 VALIDATED = 64
 """Samples that a validation looks at, at most."""
 
 _AT_ONCE = 8  # pairs of a validation
-_TV_POINTS, _NORMAL_POINTS = 1000, 4096
+_ROOM = 1 << 28  # bytes of deformations that are kept
 
 
 class Pairs:
@@ -32,10 +33,15 @@ class Pairs:
 
     most = VALIDATED
 
-    def __init__(self, data: Path, preset: Preset, seed: int, workers: int) -> None:
-        self.preset, self.workers = preset, workers
-        self.train = PortraitPairs(data, preset, "train", seed)
+    def __init__(
+        self, data: Path, preset: Preset, seed: int, workers: int, static_steps: int = 0
+    ) -> None:
+        """In the first `static_steps` steps, pairs are static, see `PortraitPairs`."""
+        self.preset, self.workers, self.static_steps = preset, workers, static_steps
+        self.static = PortraitPairs(data, preset, "train", seed, augment=True, static=True)
+        self.train = PortraitPairs(data, preset, "train", seed, augment=True)
         self.held_out = PortraitPairs(data, preset, "validation")
+        self._tables: dict[str, Table] = {}
 
     def judge_by(self, data: Path, split: str) -> None:
         """Validate on all of another split."""
@@ -45,12 +51,31 @@ class Pairs:
     @property
     def skipped(self) -> dict[str, str]:
         """Training pairs that could not be read, and why."""
-        return self.train.skipped
+        return self.static.skipped | self.train.skipped
+
+    def deformation(self, model: TotalEditing, batch: Sample) -> Table:
+        """The batch's deformations; each shot's is solved once and kept, as far as there is room.
+
+        They take a third of a step on a CPU, and do not change.
+        """
+        missing = [k for k, key in enumerate(batch.key) if key not in self._tables]
+        found = {batch.key[k]: k for k in missing}
+        if found:
+            control = Control(*(a[list(found.values())] for a in batch.control))
+            self._tables |= zip(found, model.deformation(control).unstack(), strict=True)
+        table = Table.stack([self._tables[key] for key in batch.key])
+        while len(self._tables) * table.values[0].nbytes > _ROOM:
+            del self._tables[next(iter(self._tables))]
+        return table
 
     def batches(self, first: int, size: int, rank: int, ranks: int) -> Iterator[Sample]:
         """The batches from step `first` on, this rank's share of each."""
-        start = first * size * ranks
-        return iter(loader(self.train, size, self.workers, start, rank=rank, world=ranks))
+        start, moving = first * size * ranks, self.static_steps * size * ranks
+        if start < moving:
+            parts = loader(self.static, size, self.workers, start, moving, rank, ranks)
+            yield from parts
+        start = max(start, moving)
+        yield from loader(self.train, size, self.workers, start, rank=rank, world=ranks)
 
 
 class ReconstructStage(Pairs):
@@ -66,22 +91,19 @@ class ReconstructStage(Pairs):
         workers: int = 1,
         faces: Tensor | None = None,
         weights: losses.LossWeights = losses.OURS,
+        static_steps: int = 0,
     ) -> None:
-        super().__init__(data, preset, seed, workers)
+        super().__init__(data, preset, seed, workers, static_steps)
         self.weights = weights
         self.network = TotalEditing(preset, faces)
 
     def loss(self, network: nn.Module, batch: Sample, step: int) -> tuple[Tensor, dict[str, float]]:
         generator = generator_on(batch.app_image.device)
         window = window_in(self.network.preset)
-        edit = edit_of(network, batch, generator, window=window)
-        found = terms(
-            self.network,
-            edit,
-            seen(batch, window, self.network.preset),
-            self.weights.at(step),
-            generator,
-        )
+        table = self.deformation(self.network, batch)
+        edit = edit_of(network, batch, generator, window=window, control=table)
+        truth = truth_of(batch).within(window, self.network.preset)
+        found = terms(self.network, edit, truth, self.weights.at(step), generator)
         total = losses.total(found, self.weights, step)
         return total.loss, total.scalars
 
@@ -101,13 +123,6 @@ def window_in(preset: Preset) -> Window:
     return Window(row, column, preset.window)
 
 
-def seen(batch: Sample, window: Window, preset: Preset) -> Sample:
-    """A batch whose truth is cropped to a window."""
-    scale = preset.image // preset.neural
-    names = ("mot_image", "albedo", "normal", "alpha")
-    return batch._replace(**{name: window.of(getattr(batch, name), scale) for name in names})
-
-
 def edit_of(
     network: nn.Module,
     batch: Sample,
@@ -115,13 +130,15 @@ def edit_of(
     lightmaps: Tensor | None = None,
     to_light: Tensor | None = None,
     window: Window | None = None,
+    control: Table | None = None,
 ) -> Edit:
     """The edit that should be the batch's target; in its true light, or in another."""
     return network(
         batch.app_image,
+        batch.app_frontal,
         batch.app_code,
         batch.mot_code,
-        batch.control,
+        batch.control if control is None else control,
         batch.camera_to_world,
         batch.intrinsics,
         batch.lightmaps if lightmaps is None else lightmaps,
@@ -129,49 +146,6 @@ def edit_of(
         generator=generator,
         window=window,
     )
-
-
-def terms(
-    model: TotalEditing,
-    edit: Edit,
-    batch: Sample,
-    factors: dict[str, float],
-    generator: torch.Generator,
-) -> dict[str, Tensor | None]:
-    """L_1, L_seg, L_a, L_n and the regularisers; those whose factor is 0 are not computed."""
-    rendering, matte, target = edit.rendering, batch.alpha, batch.mot_image
-    side = edit.raw.shape[-2:]
-
-    def small(picture: Tensor) -> Tensor:
-        return functional.interpolate(picture, side, mode="area")
-
-    small_matte, small_target = small(matte), small(matte * target)
-    decomposed = model.preset.decoder == "phong"
-    found: dict[str, Tensor | None] = {
-        "final": losses.l1(matte * edit.image, matte * target),
-        "raw": losses.l1(small_matte * edit.raw, small_target),
-        "foreground": losses.l1(edit.foreground, small_target),
-        "mask": losses.mask_loss(rendering.opacity, small_matte),
-        "residual": rendering.residual_l1.mean() if decomposed else None,
-    }
-    if decomposed:  # the plain decoder knows neither
-        found["albedo"] = losses.albedo_loss(rendering.albedo, small(batch.albedo), small_matte)
-        found["normal"] = losses.normal_loss(rendering.normal, small(batch.normal), small_matte)
-    planes, geometry = edit.planes.geometry, model.decoders.geometry
-    if factors["tv"]:
-        found["tv"] = losses.tv_loss(*density_jitter(planes, geometry, _TV_POINTS, generator))
-    if factors["density_normal"] and decomposed:
-        batch_size, device = len(rendering.weights), rendering.weights.device
-        count = rendering.weights[0].numel()
-        chosen = torch.randint(count, (_NORMAL_POINTS,), generator=generator, device=device)
-        points, normals, weights = (
-            a.reshape(batch_size, count, -1)[:, chosen]
-            for a in (rendering.points, rendering.canonical_normals, rendering.weights)
-        )
-        with torch.no_grad():
-            facing = density_normals(planes, geometry, points)
-        found["density_normal"] = losses.density_normal_loss(normals, facing, weights[..., 0])
-    return found
 
 
 def validate(

@@ -67,7 +67,14 @@ class Shots:
 
     def environments(self, position: int) -> int:
         """How many environments a shot was rendered under."""
-        return int(self._job["subsets"][self.keys[position].split("/")[0]]["environments"])
+        return int(self._subset(position)["environments"])
+
+    def moves(self, position: int) -> bool:
+        """Whether a shot's subject has another pose in its other shots."""
+        return self._subset(position)["kind"] == "video"
+
+    def _subset(self, position: int) -> dict[str, Any]:
+        return self._job["subsets"][self.keys[position].split("/")[0]]
 
     def read(self, position: int, *fields: str) -> dict[str, Any]:
         """`synthgen.dataset.Dataset.read`; raises `ValueError`, `KeyError` or `OSError`."""

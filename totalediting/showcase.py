@@ -18,43 +18,64 @@ from torch.nn import functional
 from assets_procedural.panorama import replacing
 from totalediting import checkpoints, metrics, phong
 from totalediting.data import PortraitPairs
+from totalediting.identity import faces_of
 from totalediting.illumination import LightmapEstimator
+from totalediting.joint import Joint
 from totalediting.lightmap_pictures import EDGE, FAINT, GAP, INK, PAPER
 from totalediting.model import TotalEditing
 from totalediting.numbered import collate
-from totalediting.presets import PRESETS, Preset
+from totalediting.presets import Preset, preset_with
 from totalediting.reconstruction import decomposition, edit_of
 
 _TILE = 128
 _SPECULAR = 3  # of the lightmaps, the one that is shown: n = 32
 
 
-def preset_of(run: Path) -> Preset:
-    """The preset that a stage's folder was trained with; `InputError` if it was not trained."""
-    return PRESETS[checkpoints.read_config(run)["preset"]]
-
-
 def load_model(run: Path) -> TotalEditing:
-    """The model of a run's stage `reconstruct`: its best checkpoint's averaged weights."""
+    """A run's model: the best of the stage `joint`, or of `reconstruct` where that is the last.
+
+    Raises:
+        InputError: neither was trained there.
+    """
+    if (joint := _joint(run)) is not None:
+        return joint.model.eval()
     folder = run / "reconstruct"
-    model = TotalEditing(preset_of(folder))
-    model.load_state_dict(checkpoints.best(folder).average)
+    model = TotalEditing(*_built(folder))
+    checkpoints.load_best(folder, model)
     return model.eval()
 
 
 def load_estimator(run: Path) -> LightmapEstimator | None:
-    """The lightmap estimator of a run, None if it has none."""
+    """A run's lightmap estimator, from `joint` or `lightmaps`; None if it has none."""
+    if (joint := _joint(run)) is not None:
+        return joint.estimator.eval()
     folder = run / "lightmaps"
     if checkpoints.best_step(folder) is None:
         return None
-    estimator = LightmapEstimator(preset_of(folder))
-    estimator.load_state_dict(checkpoints.best(folder).average)
+    estimator = LightmapEstimator(_built(folder)[0])
+    checkpoints.load_best(folder, estimator)
     return estimator.eval()
+
+
+def _joint(run: Path) -> Joint | None:
+    folder = run / "joint"
+    if checkpoints.best_step(folder) is None:
+        return None
+    joint = Joint(*_built(folder))
+    checkpoints.load_best(folder, joint)
+    return joint
+
+
+def _built(folder: Path) -> tuple[Preset, Tensor | None]:
+    """The preset that a stage's folder was trained with, and the faces that it takes."""
+    config = checkpoints.read_config(folder)
+    preset = preset_with(config["preset"], config["set"])
+    return preset, faces_of(preset)
 
 
 @torch.no_grad()
 def draw(run: Path, data: Path, target: Path, rows: int = 6, split: str = "test") -> Path:
-    """Draw the page as PNG; gives its path.
+    """Draw the page, as JPEG or else PNG; gives its path.
 
     Raises:
         InputError: the run has no trained model, or the dataset no such split.
@@ -102,6 +123,7 @@ def _page(columns: dict[str, Tensor], title: str, target: Path) -> Path:
             pixels = (picture * 255).round().byte().movedim(0, -1).numpy()
             page.paste(Image.fromarray(np.ascontiguousarray(pixels)), (x, top + k * (_TILE + GAP)))
         x += widths[name] + GAP
+    kind = "JPEG" if target.suffix.lower() in (".jpg", ".jpeg") else "PNG"
     with replacing(target) as temporary:
-        page.save(temporary, "PNG")
+        page.save(temporary, kind, quality=92)
     return target

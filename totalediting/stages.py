@@ -8,31 +8,37 @@ from __future__ import annotations
 from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
 from totalediting import checkpoints, illumination, losses, metrics, phong
+from totalediting.camera_jitter import ROLL, SCALE, jittered
+from totalediting.clips import Clips
 from totalediting.errors import InputError
+from totalediting.identity import faces_of
 from totalediting.illumination import LightmapEstimator
-from totalediting.joint import JointStage
+from totalediting.joint import JointStage, RealClips
 from totalediting.lightmaps import encode
 from totalediting.motion import HeadTracker, tracking_errors, tracking_loss
 from totalediting.numbered import loader, to_device
 from totalediting.portraits import Portrait, Portraits
-from totalediting.presets import PRESETS, Preset
+from totalediting.presets import Preset, preset_with
 from totalediting.reconstruction import VALIDATED, ReconstructStage
 from totalediting.training import Schedule
 
 _AT_ONCE = 8  # portraits of a validation
 _TEXELS = 192  # queries of lightmaps in a step; all of them would cost ten times as much
 
+_STATIC = 0.25  # share of the stage `reconstruct` before pairs differ in motion
+
 SCHEDULES = {
-    "tracker": Schedule(steps=4000, batch=24, learning_rate=4e-4),
-    "lightmaps": Schedule(steps=4000, batch=24, learning_rate=4e-4),
-    "reconstruct": Schedule(steps=2000, batch=4, learning_rate=5e-4),
-    "joint": Schedule(steps=1000, batch=4, learning_rate=1e-4),
+    "tracker": Schedule(steps=1500, batch=24, learning_rate=4e-4),
+    "lightmaps": Schedule(steps=2000, batch=24, learning_rate=4e-4),
+    "reconstruct": Schedule(steps=1300, batch=4, learning_rate=5e-4),
+    "joint": Schedule(steps=100, batch=4, learning_rate=1e-4, warmup=20),
 }
 """Of the preset `tiny`, on two cores."""
 
@@ -44,7 +50,7 @@ class _Shown:
 
     def __init__(self, data: Path, preset: Preset, seed: int, workers: int) -> None:
         self.preset, self.workers = preset, workers
-        self.train = Portraits(data, preset, "train", seed, mirror=True)
+        self.train = Portraits(data, preset, "train", seed, mirror=True, mix=True)
         self.held_out = Portraits(data, preset, "validation")
 
     def judge_by(self, data: Path, split: str) -> None:
@@ -131,9 +137,11 @@ class TrackerStage(_Shown):
     def loss(
         self, network: nn.Module, batch: Portrait, step: int
     ) -> tuple[Tensor, dict[str, float]]:
-        found = network(batch.image)
-        errors = {name: e.item() for name, e in tracking_errors(found, batch.truth).items()}
-        return tracking_loss(found, batch.truth), errors
+        roll, log_scale = torch.randn(2, len(batch.image)).to(batch.image.device)
+        image, truth = jittered(batch.image, batch.truth, ROLL * roll, SCALE * log_scale)
+        found = network(image)
+        errors = {name: e.item() for name, e in tracking_errors(found, truth).items()}
+        return tracking_loss(found, truth), errors
 
     def validate(self, network: nn.Module) -> tuple[float, dict[str, float], dict[str, Tensor]]:
         found, truth = [], []
@@ -152,9 +160,17 @@ STAGES = tuple(SCHEDULES)
 
 
 def make(
-    name: str, data: Path, preset: Preset, seed: int, workers: int, steps: int
+    name: str,
+    data: Path,
+    preset: Preset,
+    seed: int,
+    workers: int,
+    steps: int,
+    real: RealClips | None = None,
 ) -> TrackerStage | LightmapStage | ReconstructStage | JointStage:
     """The stage of that name; what a loss's schedule says is stretched or shrunk to `steps`.
+
+    `real` is what the stage `joint` sees beside the dataset.
 
     Raises:
         InputError: no dataset there, one of another format, or an empty split.
@@ -163,8 +179,24 @@ def make(
         return TrackerStage(data, preset, seed, workers)
     if name == "lightmaps":
         return LightmapStage(data, preset, seed, workers)
-    kind = ReconstructStage if name == "reconstruct" else JointStage
-    return kind(data, preset, seed, workers, weights=losses.OURS.over(steps))
+    weights, faces = losses.OURS.over(steps), faces_of(preset)
+    if name == "reconstruct":
+        static = int(_STATIC * steps)
+        return ReconstructStage(data, preset, seed, workers, faces, weights, static)
+    return JointStage(data, preset, seed, workers, faces, weights, real)
+
+
+def real_clips(
+    folder: Path, run: Path, preset: Preset, seed: int, share: float, light: Any
+) -> RealClips:
+    """Real clips for the stage `joint`, described by the tracker that was trained in `run`.
+
+    Raises:
+        InputError: there is no clip, or no tracker was trained there.
+    """
+    tracker = HeadTracker(preset)
+    checkpoints.load_best(run / "tracker", tracker)
+    return RealClips(Clips(folder, preset, seed), tracker.requires_grad_(False), share, light)
 
 
 def evaluate(run: Path, data: Path, split: str) -> dict[str, dict[str, float]]:
@@ -179,10 +211,10 @@ def evaluate(run: Path, data: Path, split: str) -> dict[str, dict[str, float]]:
         if checkpoints.best_step(folder) is None:
             continue
         config = checkpoints.read_config(folder)
-        preset = PRESETS[config["preset"]]
+        preset = preset_with(config["preset"], config["set"])
         stage = make(name, Path(config["data"]), preset, 0, 0, config["steps"])
         stage.judge_by(data, split)
-        stage.network.load_state_dict(checkpoints.best(folder).average)
+        checkpoints.load_best(folder, stage.network)
         with torch.no_grad():
             found[name] = stage.validate(stage.network.eval())[1]
     if not found:

@@ -1,8 +1,8 @@
 """The training loop: any stage, resumed at any step, on one device or several.
 
 What happens in a step follows from the run's seed and the step's number alone: which samples, which
-noise. So a run that was killed and resumed makes the very steps that it would have made. Devices,
-precision and processes are Lightning Fabric's business.
+noise. So a run that was killed and resumed makes the very steps that it would have made. Devices
+and processes are Lightning Fabric's business.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 import torch
 from lightning_fabric import Fabric
@@ -87,8 +87,8 @@ class Machine:
     """cpu, cuda or mps."""
     devices: int = 1
     """Processes, one on each device."""
-    precision: Any = "32-true"
-    """Lightning's name for it: 32-true, bf16-mixed, 16-mixed."""
+    precision: Literal["32-true", "bf16-mixed"] = "32-true"
+    """bf16-mixed: convolutions and matrix products of the networks in bfloat16."""
 
 
 def train(
@@ -115,7 +115,6 @@ def train(
         accelerator=machine.device,
         strategy=several,
         devices=machine.devices,
-        precision=machine.precision,
     )
     fabric.launch()
     config = {"stage": stage.name, "seed": seed, **facts, **asdict(schedule)}
@@ -133,6 +132,8 @@ def train(
         stage.network.load_state_dict(found.model)
         average, figures, first = found.average, found.facts["figures"], found.step
         lowest = found.facts["lowest"]
+        if found.facts["best"]:  # it may have been killed before it said so
+            checkpoints.mark_best(run, first)
         checkpoints.restore_optimiser(optimiser, found.state)
     network, optimiser = fabric.setup(stage.network, optimiser)
     average = {name: value.to(fabric.device) for name, value in average.items()}
@@ -146,7 +147,10 @@ def train(
         for group in optimiser.param_groups:
             group["lr"] = learning_rate(schedule, step)
         network.train()
-        loss, terms = stage.loss(network, fabric.to_device(next(batches)), step)
+        batch = fabric.to_device(next(batches))
+        # Not Fabric's: it would round what goes into a network as well, cameras among it.
+        with torch.autocast(fabric.device.type, torch.bfloat16, machine.precision != "32-true"):
+            loss, terms = stage.loss(network, batch, step)
         optimiser.zero_grad()
         fabric.backward(loss)
         norm = fabric.clip_gradients(
@@ -171,7 +175,7 @@ def train(
             if fabric.is_global_zero:
                 log.validation(done, figures, pictures)
                 state = checkpoints.optimiser_tensors(optimiser.optimizer)
-                kept = {"step": done, "figures": figures, "lowest": lowest}
+                kept = {"step": done, "figures": figures, "lowest": lowest, "best": is_best}
                 model = stage.network.state_dict()
                 checkpoints.save(run, Checkpoint(model, average, state, kept), is_best)
             fabric.barrier()
@@ -223,7 +227,7 @@ class _Log:
         # What was logged after the checkpoint is made again.
         lines = self.path.read_text().splitlines() if self.path.exists() else []
         kept = [line for line in lines if line.endswith("}") and json.loads(line)["step"] < first]
-        self.path.write_text("".join(f"{line}\n" for line in kept))
+        checkpoints.write_text(self.path, "".join(f"{line}\n" for line in kept))
         self.file = self.path.open("a", buffering=1)
         self.board = SummaryWriter(str(run / "tensorboard"), purge_step=first)
 

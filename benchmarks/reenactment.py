@@ -1,0 +1,119 @@
+"""How well a trained model shows held-out people, beside trivial answers and the plain decoder.
+
+    python benchmarks/reenactment.py RUN DATA [--split test] [--plain RUN]
+
+Prints two Markdown tables of PSNR (dB, over black by the true matte) and LPIPS (AlexNet, where its
+weights are at hand). Self-reenactment: another shot of the person is the source, the driver's own
+motion, camera and light are given; beside it the source itself, the mean training picture, and with
+`--plain` another run, trained on the same data for as many steps with `--set decoder=plain`.
+Relighting: source and target are one shot under two of its environments; beside it the source, and
+the model's own picture in the source's light.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from totalediting import checkpoints, metrics
+from totalediting.data import PortraitPairs, Sample
+from totalediting.frontal import frontalise
+from totalediting.model import TotalEditing
+from totalediting.numbered import loader
+from totalediting.perceptual import Lpips
+from totalediting.reconstruction import edit_of
+from totalediting.showcase import load_model
+from totalediting.weights import NetworkError
+
+AT_ONCE = 8  # pairs
+
+
+class Scores:
+    """Means of PSNR and LPIPS by name."""
+
+    def __init__(self) -> None:
+        self.found: dict[str, list[Tensor]] = {}
+        try:
+            self.lpips = Lpips("alex").eval()
+        except NetworkError as error:
+            print(f"without LPIPS: {error}")
+            self.lpips = None
+
+    def add(self, name: str, picture: Tensor, truth: Tensor, matte: Tensor) -> None:
+        found = [metrics.psnr(picture, truth, matte)]
+        if self.lpips is not None:
+            found.append(self.lpips(matte * picture, matte * truth).flatten())
+        self.found.setdefault(name, []).append(torch.stack(found))
+
+    def show(self, title: str) -> None:
+        heads = ["PSNR, dB"] + ["LPIPS"] * (self.lpips is not None)
+        print(f"\n| {title} | {' | '.join(heads)} |\n|{'---|' * (1 + len(heads))}")
+        for name, parts in self.found.items():
+            values = torch.cat(parts, 1).mean(1).tolist()
+            print(f"| {name} | {' | '.join(f'{v:.3g}' for v in values)} |")
+        self.found = {}
+
+
+def mean_picture(data: Path, model: TotalEditing) -> Tensor:
+    """(3, S, S) the mean of the training pictures, over black."""
+    pairs = PortraitPairs(data, model.preset, "train")
+    total = sum(
+        (batch.alpha * batch.mot_image).sum(0)
+        for batch in loader(pairs, AT_ONCE, stop=min(256, len(pairs)))
+    )
+    assert isinstance(total, Tensor)
+    return total / min(256, len(pairs))
+
+
+def relit(batch: Sample) -> Sample:
+    """The motion shot as its own source, to be shown in its other light."""
+    assert batch.relit is not None
+    frontal = frontalise(batch.mot_image, batch.control, batch.camera_to_world, batch.intrinsics)
+    return batch._replace(
+        app_image=batch.mot_image,
+        app_frontal=frontal,
+        app_code=batch.mot_code,
+        mot_image=batch.relit.image,
+        lightmaps=batch.relit.lightmaps,
+    )
+
+
+@torch.no_grad()
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("run", type=Path)
+    parser.add_argument("data", type=Path)
+    parser.add_argument("--split", default="test")
+    parser.add_argument("--plain", type=Path)
+    arguments = parser.parse_args()
+    model = load_model(arguments.run)
+    plain = load_model(arguments.plain) if arguments.plain else None
+    trained_on = Path(checkpoints.read_config(arguments.run / "reconstruct")["data"])
+    mean = mean_picture(trained_on, model)
+    pairs = PortraitPairs(arguments.data, model.preset, arguments.split, relit=True)
+    across, within = Scores(), Scores()
+    for batch in loader(pairs, AT_ONCE, stop=len(pairs)):
+        truth, matte = batch.mot_image, batch.alpha
+        across.add("model", edit_of(model, batch, None).image, truth, matte)
+        if plain is not None:
+            across.add("plain decoder", edit_of(plain, batch, None).image, truth, matte)
+        across.add("the source itself", batch.app_image, truth, matte)
+        across.add("the mean training picture", mean.expand_as(truth), truth, matte)
+
+        lit = relit(batch)
+        truth = lit.mot_image
+        within.add("model, relit", edit_of(model, lit, None).image, truth, matte)
+        still = edit_of(model, lit, None, batch.lightmaps)
+        within.add("model, in the source's light", still.image, truth, matte)
+        if plain is not None:
+            within.add("plain decoder", edit_of(plain, lit, None).image, truth, matte)
+        within.add("the source itself", batch.mot_image, truth, matte)
+    across.show("self-reenactment")
+    within.show("relighting")
+
+
+if __name__ == "__main__":
+    main()

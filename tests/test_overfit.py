@@ -1,0 +1,43 @@
+"""The whole model can hold one person: rendered by Blender, learnt by heart at the preset tiny."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from synthgen.farm.local import render_job
+from synthgen.job import JobSpec
+from totalediting import losses, training
+from totalediting.data import PortraitPairs
+from totalediting.presets import PRESETS
+from totalediting.reconstruction import ReconstructStage
+from totalediting.training import Schedule
+
+STEPS = 600
+
+
+@pytest.mark.slow
+@pytest.mark.blender
+def test_one_person_is_learnt_by_heart(tmp_path: Path) -> None:
+    spec = JobSpec.model_validate(
+        {
+            "name": "one",
+            "seed": 3,
+            "resolution": 128,
+            "samples": 16,
+            "subsets": {
+                "multiview": {"kind": "multiview", "subjects": 2, "environments": 2, "views": 4}
+            },
+            "image": {"linear": False},
+            "splits": {"validation": 0.5, "test": 0.0},
+        }
+    )
+    data = tmp_path / "data"
+    assert render_job(spec, data, workers=1).complete
+    tiny = PRESETS["tiny"]
+    stage = ReconstructStage(data, tiny, seed=0, workers=0, weights=losses.OURS.over(STEPS))
+    stage.train = stage.held_out = PortraitPairs(data, tiny, "train", seed=0)
+    schedule = Schedule(STEPS, batch=4, learning_rate=1e-3, average=0.98)
+    figures = training.train(stage, tmp_path / "run", schedule, 0, {"preset": "tiny", "set": []})
+    assert figures["PSNR"] >= 30 > figures["PSNR of the source"]
