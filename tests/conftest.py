@@ -39,6 +39,12 @@ class Answer:
         return self.stderr.strip()
 
 
+def pytest_collection_finish() -> None:
+    """Blender runs in processes of its own, which inherit the paths that importing it here adds."""
+    if "bpy" in sys.modules:
+        raise pytest.UsageError("a test module imports bpy; let it run in a process of its own")
+
+
 @pytest.fixture
 def run_main(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

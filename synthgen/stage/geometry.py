@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 import trimesh
 
@@ -12,7 +14,9 @@ from assets_procedural.piece import MeshPiece
 from assets_procedural.regions import fields
 from assets_procedural.skin import skin_fields
 from synthgen.display import srgb_encode, to_bytes
-from synthgen.stage.build import Figure
+
+if TYPE_CHECKING:  # it starts Blender, and this room needs none
+    from synthgen.stage.build import Figure
 
 # How far behind the first surface in its pixel a landmark may lie and still count as seen, metres;
 # a closed lid is only 4 mm in front of the pupil.
