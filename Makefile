@@ -74,10 +74,10 @@ demo: setup
 	@$(BIN)/synthgen sheet $(OUT) --output $(OUT).png
 
 train-demo: $(VENV)/.train
-	@echo "== rendering render_jobs/train_demo.toml into $(DATA), about 25 minutes on two cores"
+	@echo "== rendering render_jobs/train_demo.toml into $(DATA) (interrupt it as you like: it resumes)"
 	@# Exit code 1: a subject failed, which the others do without.
 	@$(BIN)/synthgen render render_jobs/train_demo.toml --out $(DATA) || [ $$? -eq 1 ]
-	@echo "== training the preset tiny in $(RUN), about 45 minutes on two cores"
+	@echo "== training the preset tiny in $(RUN) (so does this)"
 	@$(BIN)/totalediting train all $(DATA) --out $(RUN) --preset tiny --precision bf16-mixed
 	@echo "== measuring it on people that it has not seen"
 	@$(BIN)/totalediting evaluate $(RUN) $(DATA)
