@@ -47,7 +47,6 @@ from totalediting import checkpoints, shots
 from totalediting.errors import InputError
 from totalediting.identity import identity_basis
 from totalediting.motion import HeadTracker, Tracking
-from totalediting.presets import PRESETS
 from totalediting.shots import Shots
 from totalediting.tracked import camera_of
 from totalediting.weights import NetworkError, fetch
@@ -105,7 +104,7 @@ def joined(parts: list[Tracking]) -> Tracking:
 def trained(run: Path) -> tuple[HeadTracker, Path]:
     """The tracker that validated best, and the dataset that it was trained on."""
     config = checkpoints.read_config(run / "tracker")
-    network = HeadTracker(PRESETS[config["preset"]])
+    network = HeadTracker(checkpoints.preset_of(run / "tracker"))
     checkpoints.load_best(run / "tracker", network)
     return network.eval(), Path(config["data"])
 

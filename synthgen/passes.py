@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from PIL import ImageDraw
 
@@ -22,21 +24,11 @@ PALETTE[255] = 255
 
 def passes(shot: Shot) -> dict[str, np.ndarray]:
     """Every pass of a shot as an (H, W, 3) uint8 picture, label -> picture."""
-    mask = (shot.parts > 0)[..., None]
-    return {
-        "albedo": shot.albedo,
-        "normal": _where(mask, to_bytes(shot.normal.astype(np.float32) * 0.5 + 0.5)),
-        "depth": _where(mask, _depth(shot.depth)),
-        "uv": _where(mask, _uv(shot.uv)),
-        "canonical": _where(mask, _canonical(shot.canonical, mask[..., 0])),
-        "parts": PALETTE[shot.parts],
-        "alpha": np.repeat(shot.alpha[..., None], 3, -1),
-        "landmarks": _landmarks(shot),
-    }
+    return {name: draw(shot) for name, draw in PASSES.items()}
 
 
-def _where(mask: np.ndarray, picture: np.ndarray) -> np.ndarray:
-    return np.where(mask, picture, np.uint8(24)).astype(np.uint8)
+def _over_surface(shot: Shot, picture: np.ndarray) -> np.ndarray:
+    return np.where((shot.parts > 0)[..., None], picture, np.uint8(24)).astype(np.uint8)
 
 
 def _depth(depth: np.ndarray) -> np.ndarray:
@@ -75,3 +67,18 @@ def _landmarks(shot: Shot) -> np.ndarray:
         colour = (96, 235, 150) if visible else (235, 110, 80)
         draw.ellipse((x - 3.5, y - 3.5, x + 3.5, y + 3.5), fill=colour)
     return np.asarray(image)
+
+
+PASSES: dict[str, Callable[[Shot], np.ndarray]] = {
+    "albedo": lambda shot: shot.albedo,
+    "normal": lambda shot: _over_surface(
+        shot, to_bytes(shot.normal.astype(np.float32) * 0.5 + 0.5)
+    ),
+    "depth": lambda shot: _over_surface(shot, _depth(shot.depth)),
+    "uv": lambda shot: _over_surface(shot, _uv(shot.uv)),
+    "canonical": lambda shot: _over_surface(shot, _canonical(shot.canonical, shot.parts > 0)),
+    "parts": lambda shot: PALETTE[shot.parts],
+    "alpha": lambda shot: np.repeat(shot.alpha[..., None], 3, -1),
+    "landmarks": _landmarks,
+}
+"""How each pass of a shot is drawn, by label."""

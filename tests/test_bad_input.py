@@ -174,19 +174,23 @@ def fill():
     resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
-def saving_every_step(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def two_steps(
+    totalediting: Run, small_dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Callable[[], Answer]:
+    """Trains the tracker in `tmp_path` for two steps, with a checkpoint after each."""
     often = dataclasses.replace(stages.SCHEDULES["tracker"], save_every=1)
     monkeypatch.setitem(stages.SCHEDULES, "tracker", often)
+    train = ("train", "tracker", small_dataset, "--out", tmp_path, *STEP, "--steps", 2)
+    return lambda: totalediting(*train)
 
 
 def test_a_full_disk_while_saving_loses_no_checkpoint(
-    totalediting: Run,
-    small_dataset: Path,
+    two_steps: Callable[[], Answer],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     fill: Callable[..., None],
 ) -> None:
-    saving_every_step(monkeypatch)
     run, before = tmp_path / "tracker", {}
     save = checkpoints.save
 
@@ -197,8 +201,7 @@ def test_a_full_disk_while_saving_loses_no_checkpoint(
         return save(*arguments)
 
     monkeypatch.setattr(checkpoints, "save", filling)
-    train = ("train", "tracker", small_dataset, "--out", tmp_path, *STEP, "--steps", 2)
-    said = totalediting(*train)
+    said = two_steps()
     fill()
     assert said.returncode == 2 and said.stderr.count("\n") == 1
     assert said.stderr.startswith(f"error: {run}: step 2 cannot be saved (")
@@ -206,7 +209,7 @@ def test_a_full_disk_while_saving_loses_no_checkpoint(
     assert before and contents(run / "checkpoints") == before
 
     monkeypatch.setattr(checkpoints, "save", save)
-    assert totalediting(*train).returncode == 0
+    assert two_steps().returncode == 0
     found = checkpoints.latest(run)
     assert found is not None and found.step == 2
     logged = [json.loads(line)["step"] for line in (run / "losses.jsonl").read_text().splitlines()]
@@ -214,13 +217,11 @@ def test_a_full_disk_while_saving_loses_no_checkpoint(
 
 
 def test_a_full_disk_while_logging_loses_no_checkpoint(
-    totalediting: Run,
-    small_dataset: Path,
+    two_steps: Callable[[], Answer],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     fill: Callable[..., None],
 ) -> None:
-    saving_every_step(monkeypatch)
     run, before = tmp_path / "tracker", {}
     loss = stages.TrackerStage.loss
 
@@ -231,8 +232,7 @@ def test_a_full_disk_while_logging_loses_no_checkpoint(
         return loss(self, network, batch, step)
 
     monkeypatch.setattr(stages.TrackerStage, "loss", filling)
-    train = ("train", "tracker", small_dataset, "--out", tmp_path, *STEP, "--steps", 2)
-    said = totalediting(*train)
+    said = two_steps()
     fill()
     assert said.returncode == 2 and said.stderr.count("\n") == 1
     assert said.stderr.startswith(f"error: {run}: cannot be written into (File too large); make")

@@ -2,15 +2,15 @@
 
     F_app = E_app(I_app)                                            (paper, section 3.2)
 
-Symbols: B batch, S side of the picture. The picture is display-referred RGB in [0, 1]; both
-branches see it in [-1, 1] together with x and y of each pixel. The design is that of
-the paper's baseline (Portrait4D, Deng et al. 2024, after Lp3D, Trevithick et al. 2023): a ResNet-34
-with the dilations and the atrous pyramid of DeepLabv3 (Chen et al. 2017) sees what is where, five
-convolutions at half the side keep what is fine. The norms are over groups, not over the batch.
+Symbols: B batch, S side of the picture. Pictures are display-referred RGB in [0, 1]; the branches
+see them in [-1, 1] together with x and y of each pixel. The design is that of the paper's baseline
+(Portrait4D, Deng et al. 2024, after Lp3D, Trevithick et al. 2023): a ResNet-34 with the dilations
+and the atrous pyramid of DeepLabv3 (Chen et al. 2017) sees what is where, five convolutions at half
+the side keep what is fine. The norms are over groups, not over the batch.
 
-Where we leave it: the fine branch sees the picture laid onto the bust (`frontal`) and that picture
-mirrored, which shows what the pose hides; so detail lies where the planes hold it. The global
-branch sees all three.
+Where we leave it: the fine branch does not see the picture itself but the picture laid onto the
+bust (`frontal`), and that mirrored, which shows what the pose hides; so detail lies where the
+planes hold it. The global branch sees all three.
 """
 
 from __future__ import annotations

@@ -25,7 +25,9 @@ import torch
 from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 
+from assets_procedural.panorama import replacing
 from totalediting.errors import InputError
+from totalediting.presets import Preset, preset_with
 
 KEPT = 2
 """Checkpoints that are kept beside the best."""
@@ -102,9 +104,9 @@ def load_best(run: Path, network: nn.Module) -> None:
     try:
         network.load_state_dict(found.average)
     except RuntimeError:
-        raise InputError(
-            f"{run}: holds another network; it was trained with {_built(run)}"
-        ) from None
+        config = read_config(run)
+        built = ", ".join([f"preset = {config['preset']}", *config["set"]])
+        raise InputError(f"{run}: holds another network; it was trained with {built}") from None
 
 
 def mark_best(run: Path, step: int) -> None:
@@ -169,11 +171,6 @@ def configure(run: Path, config: dict[str, Any]) -> None:
         ) from None
 
 
-def _built(run: Path) -> str:
-    config = read_config(run)
-    return ", ".join([f"preset = {config['preset']}", *config["set"]])
-
-
 def read_config(run: Path) -> dict[str, Any]:
     """What `configure` wrote.
 
@@ -184,6 +181,13 @@ def read_config(run: Path) -> dict[str, Any]:
     if not path.exists():
         raise InputError(f"{run}: nothing was trained there; train it first")
     return _read_json(path)
+
+
+def preset_of(run: Path) -> Preset:
+    """The preset that a stage's folder was trained with, its switches set; raises as
+    `read_config`."""
+    config = read_config(run)
+    return preset_with(config["preset"], config["set"])
 
 
 def optimiser_tensors(optimiser: torch.optim.Optimizer) -> dict[str, Tensor]:
@@ -238,17 +242,8 @@ def _read_json(path: Path) -> dict[str, Any]:
 
 
 def _write_json(path: Path, content: dict[str, Any]) -> None:
-    write_text(path, json.dumps(content, indent=2, sort_keys=True) + "\n")
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write a file whole, or leave what was there."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        temporary.write_text(text)
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with replacing(path) as temporary:
+        temporary.write_text(json.dumps(content, indent=2, sort_keys=True) + "\n")
 
 
 def _found(run: Path) -> list[Path]:

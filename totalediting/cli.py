@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from totalediting.errors import InputError
+from totalediting.presets import preset_with
 
 if TYPE_CHECKING:
     import torch
@@ -139,7 +140,7 @@ def train(
     """Train one stage of the model, or all. Running the same command again resumes."""
     names = ("tracker", "lightmaps", "reconstruct", "joint")
     _choice("STAGE", stage, (*names, "all"))
-    _choice("--preset", preset, ("tiny", "small", "full"))
+    built = preset_with(preset, switches or [])
     _choice("--precision", precision, ("32-true", "bf16-mixed"))
     _choice("--real-light", real_light, ("random", "same", "consistent"))
     if not 0 <= real_share <= 1:
@@ -156,12 +157,10 @@ def train(
 
     from totalediting import checkpoints, stages, training
     from totalediting.joint import JointStage
-    from totalediting.presets import preset_with
 
     given = {"steps": steps, "batch": batch, "learning_rate": learning_rate}
     given = {name: value for name, value in given.items() if value is not None}
     machine = training.Machine(device, devices, precision)  # pyright: ignore[reportArgumentType]
-    built = preset_with(preset, switches or [])
     facts = {"preset": preset, "set": sorted(switches or []), "data": str(data.resolve())}
     for name in names if stage == "all" else (stage,):
         schedule = dataclasses.replace(stages.SCHEDULES[name], **given)

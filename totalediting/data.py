@@ -20,12 +20,7 @@ from totalediting import shots
 from totalediting.field import Control
 from totalediting.frontal import frontalise
 from totalediting.light_mixing import Light, draw_light
-from totalediting.mirroring import (
-    MIRROR,
-    PARTS,
-    mirrored_code,
-    mirrored_lightmaps,
-)
+from totalediting.mirroring import MIRROR, PARTS, mirrored_code, mirrored_lightmaps
 from totalediting.numbered import Numbered, Unreadable
 from totalediting.presets import Preset
 from totalediting.shots import Shots, head_centre
@@ -144,14 +139,13 @@ class PortraitPairs(Numbered[Sample]):
         return mirrored(sample) if turn else sample
 
     def _appearance(self, position: int, light: Light) -> tuple[Tensor, Tensor, Tensor]:
-        """I_app, laid out, and e_app."""
+        """I_app, what `frontalise` makes of it, and e_app."""
         stored = self.shots.read(position, *light.members(), "geometry", "meta")
         image, meta = light.picture(stored, self.side), stored["meta"]
         origin = head_centre(stored["geometry"]["landmarks_canonical"])
-        control = shots.control(stored["geometry"], origin)
-        camera = shots.camera(meta, origin, self.side)
-        alone = (a[None] for a in control), (a[None] for a in camera)
-        frontal = frontalise(image[None], Control(*alone[0]), *alone[1])[0]
+        control = Control(*(a[None] for a in shots.control(stored["geometry"], origin)))
+        camera_to_world, intrinsics = (a[None] for a in shots.camera(meta, origin, self.side))
+        frontal = frontalise(image[None], control, camera_to_world, intrinsics)[0]
         return image, frontal, shots.motion_code(meta)
 
     def _sample(

@@ -102,7 +102,8 @@ class Portraits(Numbered[Portrait]):
             identity = self.basis.coefficients(Person.model_validate(meta["person"]))
             truth = shots.tracking(meta, identity)
             if self.shots.moves(item):  # a video is framed by the head at rest
-                truth = Tracking(*(f[0] for f in reframed(Tracking(*(f[None] for f in truth)))))
+                batch = reframed(Tracking(*(field[None] for field in truth)))
+                truth = Tracking(*(field[0] for field in batch))
             self._truths[item] = truth
         return self._truths[item]
 

@@ -181,7 +181,8 @@ def preset_with(name: str, changes: list[str]) -> Preset:
         InputError: no such preset, switch or value.
     """
     if name not in PRESETS:
-        raise InputError(f"--preset: {name}: choose {', '.join(PRESETS)}")
+        *others, last = PRESETS
+        raise InputError(f"--preset: {name}: choose {', '.join(others)} or {last}")
     values: dict[str, str | float] = {}
     for change in changes:
         switch, _, value = change.partition("=")

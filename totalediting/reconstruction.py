@@ -58,11 +58,10 @@ class Pairs:
 
         They take a third of a step on a CPU, and do not change.
         """
-        missing = [k for k, key in enumerate(batch.key) if key not in self._tables]
-        found = {batch.key[k]: k for k in missing}
-        if found:
-            control = Control(*(a[list(found.values())] for a in batch.control))
-            self._tables |= zip(found, model.deformation(control).unstack(), strict=True)
+        missing = {key: k for k, key in enumerate(batch.key) if key not in self._tables}
+        if missing:
+            control = Control(*(a[list(missing.values())] for a in batch.control))
+            self._tables |= zip(missing, model.deformation(control).unstack(), strict=True)
         table = Table.stack([self._tables[key] for key in batch.key])
         while len(self._tables) * table.values[0].nbytes > _ROOM:
             del self._tables[next(iter(self._tables))]
@@ -72,8 +71,7 @@ class Pairs:
         """The batches from step `first` on, this rank's share of each."""
         start, moving = first * size * ranks, self.static_steps * size * ranks
         if start < moving:
-            parts = loader(self.static, size, self.workers, start, moving, rank, ranks)
-            yield from parts
+            yield from loader(self.static, size, self.workers, start, moving, rank, ranks)
         start = max(start, moving)
         yield from loader(self.train, size, self.workers, start, rank=rank, world=ranks)
 

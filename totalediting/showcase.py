@@ -24,7 +24,7 @@ from totalediting.joint import Joint
 from totalediting.lightmap_pictures import EDGE, FAINT, GAP, INK, PAPER
 from totalediting.model import TotalEditing
 from totalediting.numbered import collate
-from totalediting.presets import Preset, preset_with
+from totalediting.presets import Preset
 from totalediting.reconstruction import decomposition, edit_of
 
 _TILE = 128
@@ -68,8 +68,7 @@ def _joint(run: Path) -> Joint | None:
 
 def _built(folder: Path) -> tuple[Preset, Tensor | None]:
     """The preset that a stage's folder was trained with, and the faces that it takes."""
-    config = checkpoints.read_config(folder)
-    preset = preset_with(config["preset"], config["set"])
+    preset = checkpoints.preset_of(folder)
     return preset, faces_of(preset)
 
 

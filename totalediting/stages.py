@@ -25,7 +25,7 @@ from totalediting.lightmaps import encode
 from totalediting.motion import HeadTracker, tracking_errors, tracking_loss
 from totalediting.numbered import loader, to_device
 from totalediting.portraits import Portrait, Portraits
-from totalediting.presets import Preset, preset_with
+from totalediting.presets import Preset
 from totalediting.reconstruction import VALIDATED, ReconstructStage
 from totalediting.training import Schedule
 
@@ -210,8 +210,7 @@ def evaluate(run: Path, data: Path, split: str) -> dict[str, dict[str, float]]:
         folder = run / name
         if checkpoints.best_step(folder) is None:
             continue
-        config = checkpoints.read_config(folder)
-        preset = preset_with(config["preset"], config["set"])
+        config, preset = checkpoints.read_config(folder), checkpoints.preset_of(folder)
         stage = make(name, Path(config["data"]), preset, 0, 0, config["steps"])
         stage.judge_by(data, split)
         checkpoints.load_best(folder, stage.network)

@@ -19,6 +19,7 @@ import torch
 from lightning_fabric import Fabric
 from torch import Tensor, nn
 
+from assets_procedural.panorama import replacing
 from totalediting import checkpoints
 from totalediting.checkpoints import Checkpoint
 from totalediting.errors import InputError
@@ -227,7 +228,8 @@ class _Log:
         # What was logged after the checkpoint is made again.
         lines = self.path.read_text().splitlines() if self.path.exists() else []
         kept = [line for line in lines if line.endswith("}") and json.loads(line)["step"] < first]
-        checkpoints.write_text(self.path, "".join(f"{line}\n" for line in kept))
+        with replacing(self.path) as temporary:
+            temporary.write_text("".join(f"{line}\n" for line in kept))
         self.file = self.path.open("a", buffering=1)
         self.board = SummaryWriter(str(run / "tensorboard"), purge_step=first)
 

@@ -13,12 +13,10 @@ from synthgen.browse.folder import Refused
 from synthgen.browse.samples import Broken, Sample
 from synthgen.codecs import decode_exr
 from synthgen.display import srgb_decode
-from synthgen.passes import passes
+from synthgen.passes import PASSES
 from synthgen.shards import decode, decode_fields
 from synthgen.shot import Shot
 
-PASSES = ("albedo", "normal", "depth", "uv", "canonical", "parts", "alpha", "landmarks")
-"""What `pictures` draws beside the image itself."""
 VALUES = ("image", "linear", "albedo", "normal", "depth", "uv", "canonical", "parts", "alpha")
 """What `values` gives the numbers of."""
 _KEPT = 4
@@ -49,8 +47,8 @@ class Decoder:
         if name not in PASSES:
             raise Refused(f"no pass {name[:40]}; there are image, {', '.join(PASSES)}")
         with self._lock:
-            if not drawn:
-                drawn.update(passes(shot))
+            if name not in drawn:
+                drawn[name] = PASSES[name](shot)
         return drawn[name]
 
     def values(self, sample: Sample, name: str, environment: int) -> np.ndarray:

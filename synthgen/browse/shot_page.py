@@ -6,10 +6,11 @@ import shlex
 from typing import Any
 from urllib.parse import quote
 
-from synthgen.browse.decoded import PASSES, Decoder
+from synthgen.browse.decoded import Decoder
 from synthgen.browse.folder import Folder
 from synthgen.browse.samples import Broken, Sample
 from synthgen.browse.snapshot import Snapshot
+from synthgen.passes import PASSES
 
 
 def describe(
