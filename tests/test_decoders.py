@@ -19,6 +19,7 @@ from totalediting.decoders import (
     Shading,
     ShadingDecoder,
 )
+from totalediting.frontal import LAID
 from totalediting.lightmaps import bake
 from totalediting.presets import PRESETS, Preset
 
@@ -45,7 +46,7 @@ def lightmaps(seed: int = 0) -> Tensor:
 
 
 def features(seed: int = 0) -> Tensor:
-    return torch.randn(B, N, TINY.plane_channels, generator=seeded(seed))
+    return torch.randn(B, N, TINY.plane_channels + LAID, generator=seeded(seed))
 
 
 def same(directions: Tensor) -> Tensor:
@@ -78,7 +79,7 @@ def shade(decoder: nn.Module, light: Tensor, turn: Tensor | None = None) -> Shad
 def test_density_is_positive_and_follows_the_last_layer() -> None:
     torch.manual_seed(0)
     decoder = GeometryDecoder(TINY)
-    density = decoder(features())
+    density = decoder(features()[..., : TINY.plane_channels])
     assert density.shape == (B, N)
     assert (density > 0).all()
     last = decoder.net[-1]
@@ -86,7 +87,9 @@ def test_density_is_positive_and_follows_the_last_layer() -> None:
     with torch.no_grad():
         last.weight.zero_()
         last.bias.fill_(41.0)
-    torch.testing.assert_close(decoder(features()), torch.full((B, N), 40.0 * DENSITY_SCALE))
+    torch.testing.assert_close(
+        decoder(features()[..., : TINY.plane_channels]), torch.full((B, N), 40.0 * DENSITY_SCALE)
+    )
 
 
 def test_a_fresh_volume_is_translucent() -> None:
@@ -174,7 +177,7 @@ def test_gradients_reach_all_that_is_learnt(decoder: ShadingDecoder) -> None:
         assert tensor.grad is not None and tensor.grad.isfinite().all(), name
         assert tensor.grad.any(), name
     geometry = GeometryDecoder(TINY)
-    geometry(features()).sum().backward()
+    geometry(features()[..., : TINY.plane_channels]).sum().backward()
     assert all(p.grad is not None and p.grad.any() for p in geometry.parameters())
 
 
@@ -233,8 +236,7 @@ def test_wrong_shapes_are_named(decoder: ShadingDecoder) -> None:
 
 
 def test_planes_are_trained_through_the_decoders(decoder: ShadingDecoder) -> None:
-    planes = torch.randn(B, 3, TINY.plane_channels, 8, 8, requires_grad=True)
-    points = torch.rand(B, N, 3)
-    found = volume.triplane(planes, points, torch.zeros(3), torch.ones(3))
+    planes = torch.randn(B, 3, TINY.plane_channels + LAID, 8, 8, requires_grad=True)
+    found = volume.triplane(planes, 2 * torch.rand(B, N, 3) - 1)
     decoder(found, same, units(2), lightmaps(), rotations(1)).colour.sum().backward()
     assert planes.grad is not None and planes.grad.abs().sum((0, 3, 4)).all()

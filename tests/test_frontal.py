@@ -9,10 +9,9 @@ from torch.nn import functional
 
 from totalediting.field import Control
 from totalediting.frontal import frontalise
-from totalediting.rendering import BOX_HIGH, BOX_LOW
+from totalediting.space import off_planes
 
 SIDE = 96
-LOW, HIGH = torch.tensor(BOX_LOW), torch.tensor(BOX_HIGH)
 
 
 def ball(turn: float) -> Control:
@@ -47,8 +46,8 @@ def picture(control: Control) -> Tensor:
 
 def texels() -> Tensor:
     """(SIDE, SIDE, 2) x and z of the result's texels."""
-    share = (torch.arange(SIDE) + 0.5) / SIDE
-    x, z = (low + share * (high - low) for low, high in ((LOW[0], HIGH[0]), (LOW[2], HIGH[2])))
+    place = (2 * torch.arange(SIDE) + 1.0) / SIDE - 1
+    x, z = off_planes(place[:, None].expand(-1, 3))[:, 0::2].unbind(-1)
     return torch.stack(torch.meshgrid(x, z, indexing="xy"), -1)
 
 
@@ -63,6 +62,17 @@ def test_skin_lies_where_it_is_at_rest(turn: float) -> None:
     for channel, axis in ((0, 0), (2, 1)):
         error = ((found[channel] - 0.5) / 5 - at[..., axis])[seen].abs()
         assert error.mean() < 0.003 and error.quantile(0.95) < 0.008
+
+
+def test_skin_moves_to_the_expression_to_show() -> None:
+    source, shown = ball(0.3), ball(0.0)
+    shown = shown._replace(canonical=0.8 * shown.canonical)
+    found = frontalise(picture(source), source.showing(shown), *view())[0]
+    at = texels()
+    seen = (at.norm(dim=-1) < 0.055) & (found[3] > 0.4)
+    for channel, axis in ((0, 0), (2, 1)):
+        error = ((found[channel] - 0.5) / 5 - at[..., axis] / 0.8)[seen].abs()
+        assert error.mean() < 0.004 and error.quantile(0.95) < 0.01
 
 
 def test_the_last_channel_says_what_the_camera_sees() -> None:

@@ -20,9 +20,11 @@ from totalediting.decoders import Decoders, Shading
 from totalediting.deformation import mls
 from totalediting.discriminator import CHANNELS, Discriminator
 from totalediting.field import Control, Field, tabulate
+from totalediting.frontal import LAID
 from totalediting.lightmaps import bake, sample
 from totalediting.presets import PRESETS, Preset
-from totalediting.rendering import BOX_HIGH, BOX_LOW, Rendering, render
+from totalediting.rendering import Rendering, render
+from totalediting.space import BOX_HIGH, BOX_LOW, off_planes, on_planes
 from totalediting.superresolution import Background, SuperResolution, over
 
 SMALL = replace(
@@ -45,6 +47,10 @@ def seeded(seed: int) -> torch.Generator:
     return torch.Generator().manual_seed(seed)
 
 
+def f32(*values: list[float]) -> Tensor:
+    return torch.tensor(values, dtype=torch.float32)
+
+
 def nudge(module: nn.Module) -> None:
     with torch.no_grad():
         for parameter in module.parameters():
@@ -60,15 +66,15 @@ class Sphere:
     def outward(self, points: Tensor) -> Tensor:
         return points - points.new_tensor(CENTRE)
 
-    def geometry(self, points: Tensor) -> Tensor:
-        inside = (RADIUS - self.outward(points).norm(dim=-1)) / self.soft
+    def geometry(self, features: Tensor) -> Tensor:
+        inside = (RADIUS - self.outward(off_planes(features)).norm(dim=-1)) / self.soft
         return self.peak * torch.sigmoid(inside)
 
     def shading(
-        self, points: Tensor, to_posed: Any, view: Tensor, lightmaps: Tensor, to_light: Tensor
+        self, features: Tensor, to_posed: Any, view: Tensor, lightmaps: Tensor, to_light: Tensor
     ) -> Shading:
         """White and matt; the features hold the direction to the viewer."""
-        canonical = functional.normalize(self.outward(points), dim=-1)
+        canonical = functional.normalize(self.outward(off_planes(features[..., :3])), dim=-1)
         normal = to_posed(canonical)
         one = torch.ones_like(normal)
         s_d = sample(lightmaps[:, 0], normal @ to_light.mT)
@@ -80,14 +86,17 @@ class Sphere:
 
 
 def coordinates(batch: int = 1) -> Tensor:
-    """Planes (B, 3, 3, 32, 32) whose look-up gives the point itself: each axis is on two planes."""
+    """Planes (B, 3, 3, 32, 32) whose look-up gives the place itself: each axis is on two planes."""
     planes = torch.zeros(3, 3, 32, 32)
     share = (torch.arange(32) + 0.5) / 32
     for plane, axes in enumerate(volume.PLANE_AXES):
         for axis, vary in zip(axes, ((1, 32), (32, 1)), strict=True):
-            value = torch.lerp(LOW[axis], HIGH[axis], share)
-            planes[plane, axis] = 1.5 * value.view(vary)
+            planes[plane, axis] = 1.5 * (2 * share - 1).view(vary)
     return planes.expand(batch, -1, -1, -1, -1)
+
+
+def laid(batch: int = 1) -> Tensor:
+    return torch.rand(batch, LAID, 48, 48, generator=seeded(5))
 
 
 def camera(yaw: float = 0.4, distance: float = 1.2, side: int = 32) -> tuple[Tensor, Tensor]:
@@ -122,7 +131,7 @@ def picture_of(
 ) -> Rendering:
     planes = coordinates()
     to_light = torch.eye(3)[None] if to_light is None else to_light
-    return render(planes, planes, decoders, *view, light(), to_light, field, preset)
+    return render(planes, planes, laid(), decoders, *view, light(), to_light, field, preset)
 
 
 def sphere_distances(pose: Tensor, intrinsics: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -135,8 +144,36 @@ def sphere_distances(pose: Tensor, intrinsics: Tensor) -> tuple[Tensor, Tensor, 
 
 
 def test_coordinate_planes_hold_coordinates() -> None:
-    points = torch.lerp(LOW, HIGH, 0.05 + 0.9 * torch.rand(1, 99, 3, generator=seeded(0)))
-    torch.testing.assert_close(volume.triplane(coordinates(), points, LOW, HIGH), points)
+    places = 1.9 * torch.rand(1, 99, 3, generator=seeded(0)) - 0.95
+    torch.testing.assert_close(volume.triplane(coordinates(), places), places)
+
+
+def test_the_box_fills_the_planes_which_are_finest_at_the_face() -> None:
+    torch.testing.assert_close(on_planes(torch.stack([LOW, HIGH])), f32([-1] * 3, [1] * 3))
+    points = torch.lerp(LOW, HIGH, torch.rand(99, 3, generator=seeded(0)))
+    torch.testing.assert_close(off_planes(on_planes(points)), points, atol=1e-6, rtol=1e-5)
+    texel = on_planes(f32([0, -0.09, 0], [2e-3, -0.088, 2e-3])).diff(dim=0) / 2e-3
+    assert (texel > 2 * 2 / 0.6).all()  # twice as fine as planes that are so everywhere
+    x = on_planes(f32([0.03, 0, 0], [-0.03, 0, 0]))[:, 0]
+    torch.testing.assert_close(
+        x[0], -x[1]
+    )  # the mirror image of a picture on them is that of the face
+
+
+def test_a_surface_shows_what_the_source_shows_there() -> None:
+    """The decoders see the laid picture at a point's x and z, whatever its y."""
+    seen = []
+
+    class Painted(Sphere):
+        def shading(self, features: Tensor, *rest: Any) -> Shading:
+            seen.append(features)
+            return super().shading(features, *rest)
+
+    picture_of(Painted(), camera())
+    places, found = seen[0].split([3, LAID], -1)
+    inside = (places.abs() < 0.95).all(-1)  # beyond, the coordinates' planes stand still
+    expected = volume.plane(laid(), places[..., 0::2])
+    torch.testing.assert_close(found[inside], expected[inside], atol=1e-4, rtol=1e-4)
 
 
 def test_an_opaque_sphere_has_its_silhouette_depth_and_normals() -> None:
@@ -247,6 +284,7 @@ def learnt(batch: int = 2, **changes: Any) -> dict[str, Any]:
     return {
         "geometry_planes": (2.0 * torch.randn(shape)).requires_grad_(),
         "shading_planes": torch.randn(shape).requires_grad_(),
+        "laid": laid(batch),
         "decoders": Decoders(preset),
         "camera_to_world": pose.expand(batch, -1, -1),
         "intrinsics": intrinsics.expand(batch, -1, -1),
@@ -408,11 +446,12 @@ def test_density_normals_train_planes_and_decoder() -> None:
 
 
 def test_density_jitter_measures_variation() -> None:
-    slope = lambda p: 100.0 * (p[..., 0] + 0.3)  # noqa: E731
+    slope = lambda p: 100.0 * (off_planes(p)[..., 0] + 0.3)  # noqa: E731
     at, beside = rendering.density_jitter(coordinates(2), slope, 4000, seeded(0))
     assert at.shape == beside.shape == (2, 4000)
     expected = 100.0 * rendering.JITTER * math.sqrt(2 / math.pi)  # mean |normal|
-    assert abs((at - beside).abs().mean() / expected - 1) < 0.05
+    inside = (at - 30).abs() < 25  # at the ends, planes stand still
+    assert abs((at - beside).abs()[inside].mean() / expected - 1) < 0.05
     assert abs(at.mean() / 30.0 - 1) < 0.05, "points fill the box"
     again = rendering.density_jitter(coordinates(2), slope, 4000, seeded(0))
     assert torch.equal(again[1], beside)

@@ -23,6 +23,11 @@ HEAD = f64(0.01, -0.05, 0.7)
 LOW, HIGH = HEAD - f64(0.15, 0.2, 0.18), HEAD + f64(0.15, 0.16, 0.2)
 
 
+def on_planes(points: Tensor) -> Tensor:
+    """The box from LOW to HIGH on [-1, 1]."""
+    return 2 * (points - LOW.to(points)) / (HIGH - LOW).to(points) - 1
+
+
 def seeded(seed: int) -> torch.Generator:
     return torch.Generator().manual_seed(seed)
 
@@ -51,7 +56,7 @@ def render(planes: Tensor, pose: Tensor, intrinsics: Tensor) -> tuple[Tensor, Te
 
     def look_up(t: Tensor) -> tuple[Tensor, Tensor]:
         points = volume.along(origins, directions, t)
-        found = volume.triplane(planes, points.flatten(1, -2), low, high).view(*t.shape, -1)
+        found = volume.triplane(planes, on_planes(points).flatten(1, -2)).view(*t.shape, -1)
         return 30.0 * found[..., 0], found[..., 1:]
 
     t = volume.stratified(near, far, 12)
@@ -132,9 +137,9 @@ def test_missed_rays_are_empty_and_finite() -> None:
 def test_triplane_agrees_with_its_reference() -> None:
     planes = random(2, 3, 4, 5, 7) - 0.5
     # Half of the points are outside.
-    points = LOW + (HIGH - LOW) * (random(2, 500, 3) * 1.5 - 0.25)
-    expected = volume.triplane_reference(planes, points, LOW, HIGH)
-    torch.testing.assert_close(volume.triplane(planes, points, LOW, HIGH), expected)
+    places = random(2, 500, 3) * 3 - 1.5
+    expected = volume.triplane_reference(planes, places)
+    torch.testing.assert_close(volume.triplane(planes, places), expected)
 
 
 def test_triplane_is_exact_on_linear_functions() -> None:
@@ -152,7 +157,7 @@ def test_triplane_is_exact_on_linear_functions() -> None:
 
     x, y, z = share[0].unbind(-1)
     expected = (value(0, x, y) + value(1, x, z) + value(2, y, z)) / 3
-    found = volume.triplane(planes[None, :, None], LOW + share * (HIGH - LOW), LOW, HIGH)
+    found = volume.triplane(planes[None, :, None], 2 * share - 1)
     torch.testing.assert_close(found[0, :, 0], expected)
 
 
@@ -162,9 +167,9 @@ def test_orientation_of_planes(plane: int, across: int, down: int) -> None:
     planes[0, plane, 0, 3, 1] = 3.0
     share = random(1, 20, 3)
     share[..., across], share[..., down] = 1.5 / 4, 3.5 / 4
-    found = volume.triplane(planes, LOW + share * (HIGH - LOW), LOW, HIGH)
+    found = volume.triplane(planes, 2 * share - 1)
     torch.testing.assert_close(found, torch.ones_like(found))
-    assert (volume.triplane(planes, HIGH.expand(1, 1, 3), LOW, HIGH) == 0).all()
+    assert (volume.triplane(planes, torch.ones(1, 1, 3).double()) == 0).all()
 
 
 def test_stratified_fills_its_bins() -> None:
@@ -304,8 +309,8 @@ def test_composite_is_linear_and_premultiplied() -> None:
 
 def test_gradients_of_the_look_up() -> None:
     planes = random(2, 3, 2, 3, 4).requires_grad_()
-    points = (LOW + (HIGH - LOW) * random(2, 6, 3, seed=1)).requires_grad_()
-    assert torch.autograd.gradcheck(lambda a, p: volume.triplane(a, p, LOW, HIGH), (planes, points))
+    places = (2 * random(2, 6, 3, seed=1) - 1).requires_grad_()
+    assert torch.autograd.gradcheck(volume.triplane, (planes, places))
 
 
 def test_gradients_of_the_integrals() -> None:
@@ -374,8 +379,9 @@ Z, EYE = torch.zeros, torch.eye
         (lambda: volume.rays(EYE(4), Z(2, 3, 3), 2, 2), "intrinsics must have fx > 0"),
         (lambda: volume.resize_intrinsics(EYE(3), (8, 8), (4, 0)), "to_width must be positive"),
         (lambda: volume.box_interval(Z(2), Z(3), Z(3), Z(3)), "origins must be (..., 3), got (2,)"),
-        (lambda: volume.triplane(Z(1, 1, 3, 4, 8, 8), Z(1, 5, 3), Z(3), Z(3)), "(B, 3, C, H, W)"),
-        (lambda: volume.triplane(Z(2, 3, 4, 8, 8), Z(1, 5, 3), Z(3), Z(3)), "must be (2, P, 3)"),
+        (lambda: volume.triplane(Z(1, 1, 3, 4, 8, 8), Z(1, 5, 3)), "(B, 3, C, H, W)"),
+        (lambda: volume.triplane(Z(2, 3, 4, 8, 8), Z(1, 5, 3)), "must be (2, P, 3)"),
+        (lambda: volume.plane(Z(2, 4, 8, 8), Z(2, 5, 3)), "must be (2, P, 2)"),
         (lambda: volume.stratified(Z(3), Z(4), 2), "far must be (3), got (4,)"),
         (lambda: volume.stratified(Z(3), Z(3), 0), "count must be positive, got 0"),
         (lambda: volume.importance(Z(3, 4), Z(3, 5), Z(3), Z(3), 2), "weights must be (3, 5)"),

@@ -23,11 +23,11 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from totalediting.blocks import ResidualBlock, conv, conv_norm, coordinates, norm
-from totalediting.frontal import CHANNELS
+from totalediting.frontal import CHANNELS, LAID, both_sides
 from totalediting.presets import Preset
 
-_LAID = 2 * CHANNELS + 2  # channels that the fine branch sees: laid, mirrored, x and y
-_SEEN = _LAID + 3  # and the global branch, which sees the picture as well
+_FINE = LAID + 2  # channels that the fine branch sees: laid, mirrored, x and y
+_SEEN = _FINE + 3  # and the global branch, which sees the picture as well
 _DEPTHS = (3, 4, 6, 3)  # blocks in the stages of ResNet-34, for pictures of _SIDE
 _SIDE = 512
 
@@ -75,7 +75,7 @@ class AppearanceEncoder(nn.Module):
                 wanted = f"(B, {channels}, {side}, {side})"
                 raise ValueError(f"{name} must be {wanted}, got {tuple(x.shape)}")
         xy = self.xy.to(image).expand(len(image), -1, -1, -1)
-        laid = torch.cat([2 * frontal - 1, 2 * frontal.flip(-1) - 1, xy], 1)
+        laid = torch.cat([both_sides(frontal), xy], 1)
         seen = torch.cat([2 * image - 1, laid], 1)
         return Appearance(self.pyramid(self.trunk(seen)), self.detail(laid))
 
@@ -101,7 +101,7 @@ def _trunk(preset: Preset) -> nn.Sequential:
 
 def _detail(out: int) -> nn.Sequential:
     """(B, 10, S, S) -> (B, out, S / 2, S / 2): five convolutions, without norms, as in Lp3D."""
-    layers: list[nn.Module] = [conv(_LAID, out, 7, 2)]
+    layers: list[nn.Module] = [conv(_FINE, out, 7, 2)]
     for _ in range(4):
         layers += [nn.LeakyReLU(0.01), conv(out, out)]
     return nn.Sequential(*layers)

@@ -83,6 +83,23 @@ class Sample(NamedTuple):
     """Of the appearance shot."""
 
 
+class _Source(NamedTuple):
+    """I_app, and where it was taken from."""
+
+    image: Tensor
+    code: Tensor
+    control: Control
+    camera_to_world: Tensor
+    intrinsics: Tensor
+
+    def frontal(self, shown: Control) -> Tensor:
+        """What `frontalise` makes of it, with the expression of another bust."""
+        control = self.control.showing(shown)
+        batch = Control(*(a[None] for a in control))
+        frames = self.camera_to_world[None], self.intrinsics[None]
+        return frontalise(self.image[None], batch, *frames)[0]
+
+
 class PortraitPairs(Numbered[Sample]):
     """`Sample`s of a dataset's split; each shot is the motion shot once per epoch.
 
@@ -129,35 +146,26 @@ class PortraitPairs(Numbered[Sample]):
         another = (mot_light.environments[0] + 1 + int(rng.integers(max(count - 1, 1)))) % count
         turn = self.augment and bool(rng.random() < 0.5)
         try:
-            appearance = self._appearance(other, app_light)
+            source = self._source(other, app_light)
         except DAMAGE as error:
             raise Unreadable(other, reason(error)) from error
         try:
-            sample = self._sample(item, mot_light, another, other, *appearance)
+            sample = self._sample(item, mot_light, another, other, source)
         except DAMAGE as error:
             raise Unreadable(item, reason(error)) from error
         return mirrored(sample) if turn else sample
 
-    def _appearance(self, position: int, light: Light) -> tuple[Tensor, Tensor, Tensor]:
-        """I_app, what `frontalise` makes of it, and e_app."""
+    def _source(self, position: int, light: Light) -> _Source:
         stored = self.shots.read(position, *light.members(), "geometry", "meta")
-        image, meta = light.picture(stored, self.side), stored["meta"]
         origin = head_centre(stored["geometry"]["landmarks_canonical"])
-        control = Control(*(a[None] for a in shots.control(stored["geometry"], origin)))
-        camera_to_world, intrinsics = (a[None] for a in shots.camera(meta, origin, self.side))
-        frontal = frontalise(image[None], control, camera_to_world, intrinsics)[0]
-        return image, frontal, shots.motion_code(meta)
+        return _Source(
+            light.picture(stored, self.side),
+            shots.motion_code(stored["meta"]),
+            shots.control(stored["geometry"], origin),
+            *shots.camera(stored["meta"], origin, self.side),
+        )
 
-    def _sample(
-        self,
-        item: int,
-        light: Light,
-        another: int,
-        other: int,
-        app_image: Tensor,
-        app_frontal: Tensor,
-        app_code: Tensor,
-    ) -> Sample:
+    def _sample(self, item: int, light: Light, another: int, other: int, source: _Source) -> Sample:
         rgb, rgb_relit = light.members(), f"rgb_{another:02d}"
         labels = (
             "albedo", "normal", "depth", "canonical", "alpha", "parts", "geometry", "meta",
@@ -167,6 +175,7 @@ class PortraitPairs(Numbered[Sample]):
         meta, parts, side = stored["meta"], stored["parts"], self.side
         origin = head_centre(stored["geometry"]["landmarks_canonical"])
         camera_to_world, intrinsics = shots.camera(meta, origin, side)
+        control = shots.control(stored["geometry"], origin)
         normal = shots.normals(stored["normal"], parts, side)
         relit = None
         if self.relit:
@@ -175,8 +184,8 @@ class PortraitPairs(Numbered[Sample]):
                 self.shots.lightmaps(meta, another, self.rows),
             )
         return Sample(
-            app_image=app_image,
-            app_frontal=app_frontal,
+            app_image=source.image,
+            app_frontal=source.frontal(control),
             mot_image=light.picture(stored, side),
             albedo=shots.albedo(stored["albedo"], side),
             normal=(camera_to_world[:3, :3] @ normal.flatten(1)).view_as(normal),
@@ -185,11 +194,11 @@ class PortraitPairs(Numbered[Sample]):
             depth=shots.over_surface(stored["depth"][..., None], parts, side),
             canonical=shots.over_surface(stored["canonical"] - origin, parts, side),
             points=shots.five_points(meta, side),
-            app_code=app_code,
+            app_code=source.code,
             mot_code=shots.motion_code(meta),
             camera_to_world=camera_to_world,
             intrinsics=intrinsics,
-            control=shots.control(stored["geometry"], origin),
+            control=control,
             lightmaps=light.lightmaps(self.shots, meta, self.rows),
             relit=relit,
             key=self.keys[item],

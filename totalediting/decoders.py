@@ -1,7 +1,8 @@
 """Point-wise decoders: what a point of the volume is, from the tri-planes' features there.
 
-Symbols: B batch, N points, C = preset.plane_channels, h rows of a lightmap; t_geo, t_shd features
-of the two tri-planes (B, N, C). Vectors are unit and in model space (metres, Z up), posed unless
+Symbols: B batch, N points, C = preset.plane_channels, L = frontal.LAID, h rows of a lightmap; t_geo
+features of the geometry's tri-plane (B, N, C), t_shd of the shading's and of the source laid onto
+the bust (B, N, C + L). Vectors are unit and in model space (metres, Z up), posed unless
 called canonical: normal n, view v (from the point to the viewer), r = v reflected at n. Lightmaps
 have a frame of their own, into which `to_light` takes model space. Light, colour and shadings are
 linear Rec.709, or display-referred where `preset.colour` is "srgb".
@@ -26,6 +27,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from totalediting.blocks import linear
+from totalediting.frontal import LAID
 from totalediting.lightmaps import LOBES, SHININESS, encode, sample
 from totalediting.phong import reflect
 from totalediting.presets import Preset
@@ -95,7 +97,7 @@ class ShadingDecoder(nn.Module):
 
     def __init__(self, preset: Preset) -> None:
         super().__init__()
-        channels, hidden = preset.plane_channels, preset.hidden
+        channels, hidden = preset.plane_channels + LAID, preset.hidden
         self.surface = _surface(preset)
         self.diffuse = _mlp(channels + 3, hidden, 1)
         _start(self.diffuse, [0.0], 0.05)
@@ -111,7 +113,7 @@ class ShadingDecoder(nn.Module):
         """Shading of points.
 
         Args:
-            features: (B, N, C), t_shd.
+            features: (B, N, C + L), t_shd.
             to_posed: turns n^c into n.
             view: (B, N, 3), v.
             lightmaps: (B, 5, 3, h, 2h), normalised and >= 0, as `lightmaps.bake` makes them.
@@ -203,7 +205,7 @@ def _mlp(inputs: int, hidden: int, outputs: int) -> nn.Sequential:
 
 def _surface(preset: Preset) -> nn.Sequential:
     """Features to a direction, colour before its activation, and w: 3 + 3 + preset.features."""
-    net = _mlp(preset.plane_channels, preset.hidden, 6 + preset.features)
+    net = _mlp(preset.plane_channels + LAID, preset.hidden, 6 + preset.features)
     # Normals start towards the face's side: one near zero would turn with every step.
     _start(net, [0.0, -1.0, 0.0] + [0.0] * (3 + preset.features), 1.0)
     return net

@@ -28,6 +28,10 @@ class Control(NamedTuple):
     posed_normals: Tensor
     canonical_normals: Tensor
 
+    def showing(self, other: Control) -> Control:
+        """These points where they are, and at rest with the expression of another bust."""
+        return self._replace(canonical=other.canonical, canonical_normals=other.canonical_normals)
+
 
 class Field(NamedTuple):
     """T and R at P points: `position` (..., P, 3) metres, `quaternion` (..., P, 4) as (w, x, y, z).

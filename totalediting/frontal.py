@@ -1,12 +1,15 @@
-"""The source picture laid onto the bust at rest, as it would be seen from the front.
+"""The source picture laid onto the bust to show, at rest, as it would be seen from the front.
 
-Every texel of the tri-planes' XZ plane gets the colour that the source shows at the point of the
-skin in front of it. So the appearance encoder sees a face where the planes will hold it, whatever
-the pose in the source, and need not learn where that is (face frontalisation, Hassner et al. 2015).
-Beyond the skin, where hair and clothes are, the motion of the skin is continued.
+Every texel of the planes' XZ plane gets the colour that the source shows at the point of the skin
+in front of it. So the appearance encoder sees a face where the planes will hold it, whatever the
+pose in the source, and need not learn where that is (face frontalisation, Hassner et al. 2015);
+and the shading decoder sees the colour itself at each point (pixel-aligned features, Saito et al.
+2019), so that what is fine need not pass through the encoders. At rest the bust has the expression
+to show, so that brows and lips of the source move as the skin does. Beyond the skin, where hair and
+clothes are, the motion of the skin is continued.
 
 Symbols: B batch, V control points, S side of pictures. Axes of the result are those of the plane:
-columns along +X, rows along +Z, downwards, over the box of `rendering`.
+columns along +X, rows along +Z, downwards, over the box as `space` lays it onto planes.
 """
 
 from __future__ import annotations
@@ -16,12 +19,14 @@ from torch import Tensor
 from torch.nn import functional
 
 from totalediting.field import Control
-from totalediting.rendering import BOX_HIGH, BOX_LOW
+from totalediting.space import off_planes, on_planes
 
 CHANNELS = 4
 """Colour, and how squarely the camera sees the skin."""
+LAID = 2 * CHANNELS
+"""Channels of `both_sides`."""
 
-_GRID = 64  # texels along a side that control points are gathered in, 9 mm: they lie 5 mm apart
+_GRID = 64  # texels along a side that control points are gathered in: about as many as lie there
 _TRUST = 0.2  # control points that a texel's coarser surroundings count as
 
 
@@ -36,7 +41,8 @@ def frontalise(
 
     Args:
         image: in [0, 1].
-        control: the bust in the source's pose and at rest (B, V, 3), model space.
+        control: the bust as the source shows it, and at rest with the expression to show
+            (B, V, 3), model space: `Control.showing`.
         camera_to_world: (B, 4, 4) into model space.
         intrinsics: (B, 3, 3) in pixels of side S.
 
@@ -52,20 +58,26 @@ def frontalise(
         return _lay(image, control, camera_to_world, intrinsics)
 
 
+def both_sides(frontal: Tensor) -> Tensor:
+    """(B, 8, S, S) in [-1, 1]: a picture (B, 4, S, S) of `frontalise`, and its mirror image, which
+    shows what the pose hides."""
+    laid = 2 * frontal - 1
+    return torch.cat([laid, laid.flip(-1)], 1)
+
+
 def _lay(image: Tensor, control: Control, camera_to_world: Tensor, intrinsics: Tensor) -> Tensor:
     batch, side = len(image), image.shape[-1]
     place = _project(control.posed, camera_to_world, intrinsics, side)
     to_camera = camera_to_world[:, None, :3, 3] - control.posed
     facing = (control.posed_normals * functional.normalize(to_camera, dim=-1)).sum(-1)
 
-    low, high = image.new_tensor(BOX_LOW), image.new_tensor(BOX_HIGH)
-    at = ((control.canonical - low) / (high - low) * 2 - 1)[..., [0, 2]]
+    at = on_planes(control.canonical)[..., 0::2]
     front = (-control.canonical_normals[..., 1]).clamp_min(0)
     inside = (at.abs() < 1).all(-1)
     weight = (front * inside)[..., None]
 
     # What an affine motion explains goes on beyond the skin; the rest fades into its surroundings.
-    basis = torch.cat([at, torch.ones_like(at[..., :1])], -1)
+    basis = torch.cat([control.canonical[..., 0::2], torch.ones_like(at[..., :1])], -1)
     gram = (weight * basis).mT @ basis + 1e-6 * torch.eye(3).to(basis)
     affine = torch.linalg.solve(gram, (weight * basis).mT @ place)
     known = torch.cat([place - basis @ affine, facing.clamp(0, 1)[..., None]], -1)
@@ -82,8 +94,9 @@ def _lay(image: Tensor, control: Control, camera_to_world: Tensor, intrinsics: T
 
     middle = (2 * torch.arange(side, device=image.device) + 1) / side - 1
     rows, columns = torch.meshgrid(middle, middle, indexing="ij")
-    grid = torch.stack([columns, rows, torch.ones_like(rows)], -1).flatten(0, 1)
-    flow = (grid @ affine).unflatten(1, (side, side)) + filled[:, :2].movedim(1, -1)
+    texels = off_planes(torch.stack([columns, torch.zeros_like(rows), rows], -1))
+    grid = torch.stack([texels[..., 0], texels[..., 2], torch.ones_like(rows)], -1)
+    flow = (grid.flatten(0, 1) @ affine).unflatten(1, (side, side)) + filled[:, :2].movedim(1, -1)
     colour = functional.grid_sample(image, flow, padding_mode="border", align_corners=False)
     return torch.cat([colour, skin * filled[:, 2:].clamp(0, 1)], 1)
 

@@ -171,7 +171,9 @@ class JointStage(Pairs):
         with torch.no_grad():
             tracker = real.tracker.to(image.device).eval()
             app, mot = tracker(batch.app_image), tracker(image)
-            frontal = frontalise(batch.app_image, control_of(app), *camera_of(app, side))
+            control = control_of(mot)
+            shown = control_of(app).showing(control)
+            frontal = frontalise(batch.app_image, shown, *camera_of(app, side))
             camera_to_world, intrinsics = camera_of(mot, side)
         seen = batch.light_image if real.light == "random" else image
         code = joint.estimator(seen).code
@@ -181,7 +183,7 @@ class JointStage(Pairs):
             frontal,
             app.code,
             mot.code,
-            control_of(mot),
+            control,
             camera_to_world,
             intrinsics,
             illumination.unfold(code.clamp_min(0).expm1(), joint.estimator.height),

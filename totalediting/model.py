@@ -23,9 +23,11 @@ from totalediting import deformation, phong
 from totalediting.appearance import AppearanceEncoder
 from totalediting.decoders import Decoders
 from totalediting.field import Control, Field, Table, tabulate
+from totalediting.frontal import both_sides
 from totalediting.presets import Preset
 from totalediting.reenactment import Deenactor, Reenactor, fuse
-from totalediting.rendering import BOX_HIGH, BOX_LOW, Rendering, render
+from totalediting.rendering import Rendering, render
+from totalediting.space import BOX_HIGH, BOX_LOW
 from totalediting.superresolution import Background, SuperResolution, over
 from totalediting.surface_field import surface_field
 from totalediting.triplanes import TriplaneEncoder
@@ -33,10 +35,14 @@ from totalediting.volume import resize_intrinsics
 
 
 class Planes(NamedTuple):
-    """A person with an expression, in canonical space: (B, 3, plane_channels, P, P) each."""
+    """A person with an expression, in canonical space."""
 
     geometry: Tensor
+    """(B, 3, plane_channels, P, P), T_geo."""
     shading: Tensor
+    """The same of T_shd."""
+    laid: Tensor
+    """(B, LAID, S, S) what the source shows, see `frontal.both_sides`."""
 
 
 class Edit(NamedTuple):
@@ -144,7 +150,8 @@ class TotalEditing(nn.Module):
         """Appearance and expression to canonical tri-planes."""
         f_app, detail = self.appearance(app_image, app_frontal)
         f = fuse(self.deenactor, self.reenactor, f_app, e_app, e_mot)
-        return Planes(self.geometry_encoder(f, detail), self.shading_encoder(f, detail))
+        geometry, shading = self.geometry_encoder(f, detail), self.shading_encoder(f, detail)
+        return Planes(geometry, shading, both_sides(app_frontal))
 
     def show(
         self,
@@ -174,6 +181,7 @@ class TotalEditing(nn.Module):
         rendering = render(
             planes.geometry,
             planes.shading,
+            planes.laid,
             self.decoders,
             camera_to_world,
             intrinsics,

@@ -2,8 +2,8 @@
 
 Symbols: B batch, h = preset.neural, R = h^2 rays (row by row), S = coarse + fine samples on a ray,
 N points. Model space and canonical space: metres, Z up, the head looks along -Y, the origin in its
-middle. Rays are sampled in the box from `BOX_LOW` to `BOX_HIGH` of posed model space; tri-planes
-fill the same box of canonical space. Cameras as in `totalediting.volume`, with `camera_to_world`
+middle. Rays are sampled in the box of posed model space; planes hold the same box of canonical
+space, both as `space` says. Cameras as in `totalediting.volume`, with `camera_to_world`
 into model space. Volume rendering is in single precision, also under autocast.
 """
 
@@ -21,11 +21,8 @@ from totalediting import volume
 from totalediting.decoders import Decoders, Shading, ToPosed
 from totalediting.field import Field
 from totalediting.presets import Preset
+from totalediting.space import BOX_HIGH, BOX_LOW, on_planes
 
-BOX_LOW = (-0.3, -0.3, -0.36)
-"""Lowest corner of the box, metres: the chest ends below."""
-BOX_HIGH = (0.3, 0.3, 0.24)
-"""Highest corner; all sides are 0.6 m."""
 NORMAL_STEP = 2e-3
 """Metres on either side of a point between which the density's gradient is measured: about a texel
 of the finest preset's planes, 2.3 mm, within which bilinear look-ups have no detail."""
@@ -76,6 +73,7 @@ class Rendering(NamedTuple):
 def render(
     geometry_planes: Tensor,
     shading_planes: Tensor,
+    laid: Tensor,
     decoders: Decoders,
     camera_to_world: Tensor,
     intrinsics: Tensor,
@@ -94,6 +92,7 @@ def render(
 
     Args:
         geometry_planes, shading_planes: (B, 3, C, H, W), see `volume.triplane`.
+        laid: (B, LAID, S, S) what the source shows, see `frontal.both_sides`.
         decoders: `geometry` and `shading`.
         camera_to_world: (B, 4, 4) into model space.
         intrinsics: (B, 3, 3) for a picture of h x h, see `volume.resize_intrinsics`.
@@ -116,6 +115,7 @@ def render(
         subject = _Subject(
             geometry_planes=_full(geometry_planes),
             shading_planes=_full(shading_planes),
+            laid=_full(laid),
             decoders=decoders,
             lightmaps=_full(lightmaps),
             to_light=_full(to_light),
@@ -177,7 +177,7 @@ def density(planes: Tensor, geometry: Callable[[Tensor], Tensor], points: Tensor
     a `GeometryDecoder` or anything called so. Single precision, also under autocast."""
     with torch.autocast(planes.device.type, enabled=False):
         planes = _full(planes)
-        return geometry(volume.triplane(planes, _full(points), *_box(planes)))
+        return geometry(volume.triplane(planes, on_planes(_full(points))))
 
 
 def density_normals(planes: Tensor, geometry: Callable[[Tensor], Tensor], points: Tensor) -> Tensor:
@@ -225,6 +225,7 @@ class _Subject(NamedTuple):
 
     geometry_planes: Tensor
     shading_planes: Tensor
+    laid: Tensor
     decoders: Decoders
     lightmaps: Tensor
     to_light: Tensor
@@ -282,7 +283,14 @@ def _decode(subject: _Subject, rays: _Rays) -> tuple[Tensor, Tensor, ToPosed]:
 
 def _integrate(subject: _Subject, rays: _Rays) -> _Integrals:
     weights, points, to_posed = _decode(subject, rays)
-    features = volume.triplane(subject.shading_planes, points, *_box(points))
+    places = on_planes(points)
+    features = torch.cat(
+        [
+            volume.triplane(subject.shading_planes, places),
+            volume.plane(subject.laid, places[..., 0::2]),
+        ],
+        -1,
+    )
     samples = rays.distances.shape[1:]
     view = -rays.directions[:, :, None].expand(-1, -1, samples[1], -1).flatten(1, 2)
     shading: Shading = subject.decoders.shading(

@@ -94,37 +94,44 @@ def along(origins: Tensor, directions: Tensor, distances: Tensor) -> Tensor:
     return origins[..., None, :] + distances[..., None] * directions[..., None, :]
 
 
-def triplane(planes: Tensor, points: Tensor, low: Tensor, high: Tensor) -> Tensor:
-    """Features (B, P, C) of world `points` (B, P, 3) from `planes` (B, 3, C, H, W).
+def triplane(planes: Tensor, places: Tensor) -> Tensor:
+    """Features (B, P, C) at `places` (B, P, 3) from `planes` (B, 3, C, H, W).
 
-    The mean of three bilinear look-ups. The planes are XY, XZ and YZ, see `PLANE_AXES`: the first
-    axis runs along the columns, to the right, the second along the rows, downwards, both from `low`
-    (3,) to `high` (3,) in metres. Texels have area (align_corners=False): the centre of column j is
-    the share (j + 0.5) / W of the way. Beyond the outermost centres, and outside the box, the value
-    at the border continues. Differentiable once, in planes and points.
+    The mean of three look-ups as of `plane`. The planes are XY, XZ and YZ, see `PLANE_AXES`: the
+    first axis runs along the columns, the second along the rows. Places are in [-1, 1] along each
+    axis; where that is in the world is `space`'s affair. Differentiable once, in planes and places.
     """
     _check("planes", planes, "B", 3, "C", "H", "W")
-    _check("points", points, planes.shape[0], "P", 3)
-    _check("low", low, 3)
-    _check("high", high, 3)
-    unit = 2.0 * (points - low) / (high - low) - 1.0
-    grid = torch.stack([unit[..., axis] for axes in PLANE_AXES for axis in axes], dim=-1)
+    _check("places", places, planes.shape[0], "P", 3)
+    grid = torch.stack([places[..., axis] for axes in PLANE_AXES for axis in axes], dim=-1)
     grid = grid.unflatten(-1, (3, 2)).movedim(2, 1).flatten(0, 1)  # (B * 3, P, 2)
+    return plane(planes.flatten(0, 1), grid).unflatten(0, (-1, 3)).mean(1)
+
+
+def plane(picture: Tensor, places: Tensor) -> Tensor:
+    """Features (B, P, C) at `places` (B, P, 2) of `picture` (B, C, H, W), by a bilinear look-up.
+
+    Places are to the right and down, [-1, 1] is the picture. Texels have area
+    (align_corners=False): the centre of column j is the share (j + 0.5) / W of the way. Beyond the
+    outermost centres the value at the border continues.
+    """
+    _check("picture", picture, "B", "C", "H", "W")
+    _check("places", places, picture.shape[0], "P", 2)
     found = functional.grid_sample(
-        planes.flatten(0, 1), grid[:, None], padding_mode="border", align_corners=False
+        picture, places[:, None], padding_mode="border", align_corners=False
     )
-    return found[:, :, 0].unflatten(0, (-1, 3)).mean(1).mT
+    return found[:, :, 0].mT
 
 
-def triplane_reference(planes: Tensor, points: Tensor, low: Tensor, high: Tensor) -> Tensor:
+def triplane_reference(planes: Tensor, places: Tensor) -> Tensor:
     """The same as `triplane`, spelled out and slow: what it is tested against."""
     batch = torch.arange(planes.shape[0], device=planes.device)[:, None]
     size = (planes.shape[4], planes.shape[3])  # along columns, along rows
-    total = points.new_zeros(*points.shape[:2], planes.shape[2])
+    total = places.new_zeros(*places.shape[:2], planes.shape[2])
     for k, axes in enumerate(PLANE_AXES):
         texels, shares = [], []
         for i, axis in enumerate(axes):
-            place = (points[..., axis] - low[axis]) / (high[axis] - low[axis]) * size[i] - 0.5
+            place = (places[..., axis] + 1) / 2 * size[i] - 0.5
             place = place.clamp(0.0, size[i] - 1.0)
             first = place.floor().long()
             texels.append((first, (first + 1).clamp(max=size[i] - 1)))

@@ -1,0 +1,37 @@
+"""The space that is rendered, and how the canonical planes of features hold it.
+
+Model space and canonical space: metres, Z up, the head looks along -Y, the origin between the ears
+at the height of the eyes. Planes are finest where the face is, and coarser away from it by an asinh
+along each axis: of 64 texels, one is 4 mm there, 8 mm 10 cm away and 24 mm at the end.
+"""
+
+from __future__ import annotations
+
+from torch import Tensor
+
+BOX_LOW = (-0.3, -0.3, -0.36)
+"""Lowest corner of the box, metres: the chest ends below."""
+BOX_HIGH = (0.3, 0.3, 0.24)
+"""Highest corner; all sides are 0.6 m."""
+FOCUS = (0.0, -0.06, -0.03)
+"""Where planes are finest, metres: behind the nose. A face has its sides at equal distances."""
+REACH = 0.05
+"""Metres from there within which planes are about equally fine."""
+
+
+def on_planes(points: Tensor) -> Tensor:
+    """Where canonical `points` (..., 3) lie on planes (..., 3): the box spans [-1, 1] each way."""
+    focus, low, high = _ends(points)
+    return 2.0 * (((points - focus) / REACH).asinh() - low) / (high - low) - 1.0
+
+
+def off_planes(places: Tensor) -> Tensor:
+    """The points (..., 3) of `places` (..., 3): the inverse of `on_planes`."""
+    focus, low, high = _ends(places)
+    return focus + REACH * (low + (places + 1.0) / 2.0 * (high - low)).sinh()
+
+
+def _ends(like: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """The focus, and how far the ends of the box are from it once distances are shrunk."""
+    focus, low, high = (like.new_tensor(corner) for corner in (FOCUS, BOX_LOW, BOX_HIGH))
+    return focus, ((low - focus) / REACH).asinh(), ((high - focus) / REACH).asinh()
