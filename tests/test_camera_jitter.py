@@ -1,4 +1,4 @@
-"""A rolled and scaled picture is that of the camera that its tracking tells of."""
+"""A rolled and scaled picture is that of the camera and the light that are told of it."""
 
 from __future__ import annotations
 
@@ -6,9 +6,11 @@ import math
 
 import numpy as np
 import torch
+from torch.nn import functional
 
 from synthgen.camera import CameraSample, resolve
-from totalediting.camera_jitter import jittered
+from totalediting.camera_jitter import jittered, jittered_light
+from totalediting.lightmaps import bake, sample
 from totalediting.motion import FILL, FOCAL_MM, Tracking
 
 SIDE = 96
@@ -43,3 +45,27 @@ def test_a_jittered_picture_is_that_of_the_camera_told() -> None:
         assert abs(float((dot * columns).sum()) - x) < 0.1
         assert abs(float((dot * rows).sum()) - y) < 0.1
     assert np.abs(wanted - before).max() > 3
+
+
+def test_the_jittered_ball_is_lit_by_the_jittered_light() -> None:
+    """A white matt ball shows its lightmap at its normals, before and after."""
+    place = (torch.arange(SIDE) + 0.5) / SIDE * 2 - 1
+    x, y = place.expand(SIDE, SIDE) / 0.7, -place[:, None].expand(SIDE, SIDE) / 0.7
+    z = (1 - x**2 - y**2).clamp_min(0).sqrt()
+    alpha = (x**2 + y**2 < 0.95).float()[None, None]
+    normal = functional.normalize(torch.stack([x, y, z]), dim=0)[None]
+    panorama = torch.zeros(1, 16, 32, 3)
+    panorama[0, 4, 6:9] = torch.tensor([30.0, 20.0, 10.0])
+    maps = bake(panorama, 32)
+
+    def shaded(maps: torch.Tensor, normal: torch.Tensor) -> torch.Tensor:
+        return sample(maps[:, 0], normal.flatten(2).mT).mT.view_as(normal)
+
+    shown = (shaded(maps, normal), normal, alpha, maps)
+    jitter = (torch.tensor([0.4]), torch.tensor([-0.2]))
+    image, normal, alpha, maps = jittered_light(*shown, *jitter)
+    inside = (alpha > 0.99).expand_as(image)
+    assert inside.float().mean() > 0.2
+    torch.testing.assert_close(image[inside], shaded(maps, normal)[inside], atol=0.01, rtol=0)
+    still = shaded(shown[-1], normal)
+    assert (image - still)[inside].abs().max() > 0.05

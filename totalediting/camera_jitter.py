@@ -1,8 +1,8 @@
 """Pictures rolled and scaled about their middle, with the camera that would have taken them so.
 
 A roll of the picture is a roll of the camera; a crop about the middle is a longer lens from the
-same place. Both are exact, so a tracker learns from them as from other cameras. B, S as in
-`totalediting.motion`.
+same place. Both are exact, so tracker and lightmap estimator learn from them as from other cameras.
+B, S as in `totalediting.motion`, h rows of a lightmap.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from totalediting.lightmaps import rotate
 from totalediting.motion import Tracking
 
 ROLL, SCALE = 0.15, 0.12
@@ -27,17 +28,39 @@ def jittered(
     """
     cosine, sine, scale = roll.cos(), roll.sin(), log_scale.exp()
     zero = torch.zeros_like(roll)
-    back = torch.stack([cosine, sine, zero, -sine, cosine, zero], -1) / scale[:, None]
-    grid = functional.affine_grid(
-        back.unflatten(-1, (2, 3)), list(image.shape), align_corners=False
-    )
-    picture = functional.grid_sample(image, grid, padding_mode="border", align_corners=False)
     right, up = truth.shift.unbind(-1)
     shift = torch.stack([cosine * right + sine * up, cosine * up - sine * right], -1)
     more = torch.stack([zero, zero, roll], -1)
-    return picture, truth._replace(
+    return _resampled(image, roll, log_scale), truth._replace(
         camera_yaw_pitch_roll=truth.camera_yaw_pitch_roll + more,
         log_focal=truth.log_focal + log_scale[:, None],
         log_fill=truth.log_fill + log_scale[:, None],
         shift=scale[:, None] * shift,
     )
+
+
+def jittered_light(
+    image: Tensor,
+    normal: Tensor,
+    alpha: Tensor,
+    lightmaps: Tensor,
+    roll: Tensor,
+    log_scale: Tensor,
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """The same of pictures, their normals (B, 3, S, S) in camera space, alpha (B, 1, S, S) and
+    lightmaps (B, 5, 3, h, 2h) in the camera's frame, which turn with the camera."""
+    cosine, sine, zero = roll.cos(), roll.sin(), torch.zeros_like(roll)
+    rows = [cosine, -sine, zero, sine, cosine, zero, zero, zero, zero + 1]
+    old = torch.stack(rows, -1).unflatten(-1, (3, 3))  # from the new camera's axes
+    image, normal, alpha = (_resampled(a, roll, log_scale) for a in (image, normal, alpha))
+    normal = (old.mT @ normal.flatten(2)).view_as(normal)
+    return image, normal, alpha, rotate(lightmaps, old)
+
+
+def _resampled(picture: Tensor, roll: Tensor, log_scale: Tensor) -> Tensor:
+    """What the jittered camera sees of a picture (B, C, S, S)."""
+    cosine, sine, zero = roll.cos(), roll.sin(), torch.zeros_like(roll)
+    back = torch.stack([cosine, sine, zero, -sine, cosine, zero], -1) / log_scale.exp()[:, None]
+    size = list(picture.shape)
+    grid = functional.affine_grid(back.unflatten(-1, (2, 3)), size, align_corners=False)
+    return functional.grid_sample(picture, grid, padding_mode="border", align_corners=False)

@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from totalediting import checkpoints, illumination, losses, metrics, phong
-from totalediting.camera_jitter import ROLL, SCALE, jittered
+from totalediting.camera_jitter import ROLL, SCALE, jittered, jittered_light
 from totalediting.clips import Clips
 from totalediting.errors import InputError
 from totalediting.identity import faces_of
@@ -87,10 +87,12 @@ class LightmapStage(_Shown):
         self, network: nn.Module, batch: Portrait, step: int
     ) -> tuple[Tensor, dict[str, float]]:
         texels = torch.randint(self.network.queries, (_TEXELS,)).to(batch.image.device)
-        code, normal = network(batch.image, texels)
-        truth = encode(illumination.fold(batch.lightmaps)[:, texels])
+        shown = (batch.image, batch.normal, batch.alpha, batch.lightmaps)
+        image, normals, alpha, lightmaps = jittered_light(*shown, *_jitter(batch))
+        code, normal = network(image, texels)
+        truth = encode(illumination.fold(lightmaps)[:, texels])
         light = losses.lightmap_loss(code, truth, self.weights.to(texels.device)[texels])
-        smaller = [functional.avg_pool2d(x, 2) for x in (batch.normal, batch.alpha)]
+        smaller = [functional.avg_pool2d(x, 2) for x in (normals, alpha)]
         shape = losses.normal_loss(normal, *smaller)
         return light + shape, {"lightmap": light.item(), "normal": shape.item()}
 
@@ -137,8 +139,7 @@ class TrackerStage(_Shown):
     def loss(
         self, network: nn.Module, batch: Portrait, step: int
     ) -> tuple[Tensor, dict[str, float]]:
-        roll, log_scale = torch.randn(2, len(batch.image)).to(batch.image.device)
-        image, truth = jittered(batch.image, batch.truth, ROLL * roll, SCALE * log_scale)
+        image, truth = jittered(batch.image, batch.truth, *_jitter(batch))
         found = network(image)
         errors = {name: e.item() for name, e in tracking_errors(found, truth).items()}
         return tracking_loss(found, truth), errors
@@ -219,6 +220,12 @@ def evaluate(run: Path, data: Path, split: str) -> dict[str, dict[str, float]]:
     if not found:
         raise InputError(f"{run}: nothing was trained there; train it first")
     return found
+
+
+def _jitter(batch: Portrait) -> tuple[Tensor, Tensor]:
+    """Roll and logarithm of the scale (B,) of a step, from the global generator."""
+    roll, log_scale = torch.randn(2, len(batch.image)).to(batch.image.device)
+    return ROLL * roll, SCALE * log_scale
 
 
 def _light_picture(batch: Portrait, maps: Tensor, normal: Tensor) -> Tensor:
