@@ -49,6 +49,13 @@ def features(seed: int = 0) -> Tensor:
     return torch.randn(B, N, TINY.plane_channels + LAID, generator=seeded(seed))
 
 
+def of_geometry(seed: int = 0) -> tuple[Tensor, Tensor]:
+    """t_geo, and how far points are inside the skin."""
+    generator = seeded(seed)
+    inside = 0.02 * torch.randn(B, N, generator=generator)
+    return torch.randn(B, N, TINY.plane_channels, generator=generator), inside
+
+
 def same(directions: Tensor) -> Tensor:
     return directions
 
@@ -79,7 +86,7 @@ def shade(decoder: nn.Module, light: Tensor, turn: Tensor | None = None) -> Shad
 def test_density_is_positive_and_follows_the_last_layer() -> None:
     torch.manual_seed(0)
     decoder = GeometryDecoder(TINY)
-    density = decoder(features()[..., : TINY.plane_channels])
+    density = decoder(*of_geometry())
     assert density.shape == (B, N)
     assert (density > 0).all()
     last = decoder.net[-1]
@@ -87,18 +94,18 @@ def test_density_is_positive_and_follows_the_last_layer() -> None:
     with torch.no_grad():
         last.weight.zero_()
         last.bias.fill_(41.0)
-    torch.testing.assert_close(
-        decoder(features()[..., : TINY.plane_channels]), torch.full((B, N), 40.0 * DENSITY_SCALE)
-    )
+    features, inside = of_geometry()
+    full = DENSITY_SCALE * (40.0 + decoders.FULL * torch.sigmoid(inside / decoders.SKIN))
+    torch.testing.assert_close(decoder(features, inside), full)
 
 
-def test_a_fresh_volume_is_translucent() -> None:
+def test_a_fresh_volume_is_the_skin_in_a_translucent_fog() -> None:
     torch.manual_seed(0)
-    density = GeometryDecoder(TINY)(torch.randn(1, 4096, TINY.plane_channels)).mean()
-    assert 0.1 < 1.0 - math.exp(-0.6 * density.item()) < 0.8
-    empty = GeometryDecoder(TINY)(torch.zeros(1, 1, TINY.plane_channels))
-    expected = DENSITY_SCALE * functional.softplus(torch.tensor(decoders.FRESH - 1.0))
-    torch.testing.assert_close(empty[0, 0], expected)
+    decoder = GeometryDecoder(TINY)
+    features = torch.randn(1, 4096, TINY.plane_channels)
+    outside, inside = (decoder(features, torch.full((1, 4096), i)) for i in (-1.0, 1.0))
+    assert 0.1 < 1.0 - math.exp(-0.6 * outside.mean().item()) < 0.8
+    assert (1.0 - (-0.015 * inside).exp()).min() > 0.9, "within 15 mm"
 
 
 def test_a_fresh_surface_is_matt_and_has_no_residual() -> None:
@@ -177,8 +184,20 @@ def test_gradients_reach_all_that_is_learnt(decoder: ShadingDecoder) -> None:
         assert tensor.grad is not None and tensor.grad.isfinite().all(), name
         assert tensor.grad.any(), name
     geometry = GeometryDecoder(TINY)
-    geometry(features()[..., : TINY.plane_channels]).sum().backward()
+    geometry(*of_geometry()).sum().backward()
     assert all(p.grad is not None and p.grad.any() for p in geometry.parameters())
+
+
+@pytest.mark.parametrize("kind", [ShadingDecoder, PlainDecoder])
+def test_fresh_colour_is_the_sources(kind: type[nn.Module]) -> None:
+    """Of the side that the camera sees squarely, whatever the other shows."""
+    torch.manual_seed(0)
+    given = features()
+    shown = torch.rand(B, N, 3, generator=seeded(3)) * 0.6 + 0.2
+    given[..., TINY.plane_channels :][..., :4] = torch.cat([2 * shown - 1, torch.ones(B, N, 1)], -1)
+    given[..., TINY.plane_channels :][..., 7] = -1.0
+    found = kind(TINY)(given, same, units(2), lightmaps(), rotations(1)).albedo
+    torch.testing.assert_close(phong.display(found), shown, atol=0.02, rtol=0)
 
 
 def test_plain_colour_knows_neither_light_nor_view() -> None:
@@ -197,7 +216,7 @@ def test_plain_colour_knows_neither_light_nor_view() -> None:
             assert not value.any(), name
     with torch.no_grad():
         for p in decoder.parameters():
-            p.mul_(20.0)
+            p.add_(3.0)
     bright = decoder(features(), same, units(2), lightmaps(), rotations(1)).colour
     assert bright.max() > 1, "linear light has no upper bound"
     torch.manual_seed(0)
@@ -210,7 +229,7 @@ def test_presets(preset: Preset) -> None:
     with torch.device("meta"):
         both = Decoders(preset)
         t = torch.zeros(1, 7, preset.plane_channels)
-        assert both.geometry(t).shape == (1, 7)
+        assert both.geometry(t, t[..., 0]).shape == (1, 7)
     assert isinstance(both.shading, ShadingDecoder)
     plain = Decoders(replace(preset, decoder="plain"))
     assert isinstance(plain.shading, PlainDecoder)

@@ -71,7 +71,9 @@ def pictures(count: int, side: int, seed: int = 1) -> Tensor:
 
 def laid(image: Tensor) -> Tensor:
     """A picture that needs no turning, as `frontalise` gives it."""
-    return torch.cat([image, torch.ones_like(image[:, :1])], 1)
+    facing, front, back = 1.0, 0.3, 0.7
+    more = [torch.full_like(image[:, :1], value) for value in (facing, front, back)]
+    return torch.cat([image, *more], 1)
 
 
 def codes(count: int, seed: int = 2) -> Tensor:
@@ -195,8 +197,8 @@ def test_full_has_the_convolutions_of_a_resnet34():
         trunk = AppearanceEncoder(PRESETS["full"]).trunk
     weights = sum(p.numel() for p in trunk.parameters() if p.ndim == 4)
     # 21,267,648 are those of ResNet-34 without its classifier; the picture laid out, its mirror
-    # image, x and y are ten channels more.
-    assert weights == 21_267_648 + 10 * 64 * 7 * 7
+    # image, the relief, x and y are twelve channels more.
+    assert weights == 21_267_648 + 12 * 64 * 7 * 7
 
 
 @torch.no_grad()

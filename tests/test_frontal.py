@@ -89,6 +89,22 @@ def test_the_last_channel_says_what_the_camera_sees() -> None:
     assert facing[at.norm(dim=-1) > 0.15].max() == 0
 
 
+def test_the_relief_is_where_the_skin_is() -> None:
+    """Front and back of the ball along Y, and nothing beside it."""
+    control = ball(0.6)
+    front, back = frontalise(picture(control), control, *view())[0, 4:]
+    at = texels()
+    radius = at.norm(dim=-1)
+    inside = radius < 0.08
+    depth = (0.01 - at.square().sum(-1)).clamp_min(0).sqrt()
+    for found, side in ((front, -1), (back, 1)):
+        place = torch.zeros(SIDE, SIDE, 3)
+        place[..., 1] = 2 * found - 1
+        error = (off_planes(place)[..., 1] - side * depth)[inside].abs()
+        assert error.mean() < 0.003 and error.max() < 0.012
+    assert (front > back)[radius > 0.125].all()
+
+
 def test_all_is_finite_also_without_skin_in_the_box() -> None:
     control = Control(*(a + 5 for a in ball(0.0)[:2]), *ball(0.0)[2:])
     assert frontalise(torch.rand(1, 3, SIDE, SIDE), control, *view()).isfinite().all()

@@ -47,7 +47,7 @@ def sources() -> dict[str, Tensor | Control]:
     intrinsics = torch.tensor([[150.0, 0, 32], [0, 150, 32], [0, 0, 1]])
     return {
         "app_image": torch.rand(2, 3, 64, 64, generator=generator),
-        "app_frontal": torch.rand(2, 4, 64, 64, generator=generator),
+        "app_frontal": torch.rand(2, 6, 64, 64, generator=generator),
         "e_app": torch.rand(2, 54, generator=generator),
         "e_mot": torch.rand(2, 54, generator=generator),
         "control": control(0.5),
@@ -226,7 +226,7 @@ def test_sources_in_another_frame_are_the_same_light(sources) -> None:
 def test_every_preset_can_be_built(name: str) -> None:
     with torch.device("meta"):
         model = TotalEditing(PRESETS[name])
-        image, frontal = (torch.empty(1, n, *2 * [PRESETS[name].image]) for n in (3, 4))
+        image, frontal = (torch.empty(1, n, *2 * [PRESETS[name].image]) for n in (3, 6))
         planes = model.encode(image, frontal, torch.empty(1, 54), torch.empty(1, 54))
     preset = PRESETS[name]
     wanted = (1, 3, preset.plane_channels, preset.plane_size, preset.plane_size)

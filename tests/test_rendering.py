@@ -66,7 +66,7 @@ class Sphere:
     def outward(self, points: Tensor) -> Tensor:
         return points - points.new_tensor(CENTRE)
 
-    def geometry(self, features: Tensor) -> Tensor:
+    def geometry(self, features: Tensor, _: Tensor) -> Tensor:
         inside = (RADIUS - self.outward(off_planes(features)).norm(dim=-1)) / self.soft
         return self.peak * torch.sigmoid(inside)
 
@@ -300,6 +300,19 @@ def backward(seen: Rendering) -> None:
     torch.stack([p.square().mean() for p in pictures]).sum().backward()
 
 
+def test_what_is_between_front_and_back_of_the_skin_is_full() -> None:
+    """A fresh volume over a slab of skin, 6 cm thick, that covers the planes."""
+    given = learnt()
+    front, back = on_planes(f32([0, -0.04, 0], [0, 0.02, 0]))[:, 1]
+    given["laid"][:, -2], given["laid"][:, -1] = front, back
+    at = f32([0, -0.06, 0], [0, -0.035, 0], [0, 0.01, 0], [0, 0.04, 0]).expand(2, -1, -1)
+    volume_ = given["geometry_planes"] * 0, given["laid"], given["decoders"].geometry
+    before, within, end, behind = rendering.density(*volume_, at)[0].tolist()
+    assert min(within, end) > 100 > 10 > max(before, behind)
+    facing = rendering.density_normals(*volume_, f32([[0.0, -0.04, 0.0]]).expand(2, -1, -1))
+    torch.testing.assert_close(facing, f32([[0.0, -1.0, 0.0]]).expand(2, -1, -1))
+
+
 def test_gradients_reach_planes_decoders_and_light() -> None:
     given = learnt()
     seen = render(**given)
@@ -390,9 +403,10 @@ def test_autocast_does_not_round_the_volume() -> None:
     assert all(torch.equal(a, b) for a, b in zip(exact, seen, strict=True))
     planes, geometry = given["geometry_planes"], given["decoders"].geometry
     points = torch.lerp(LOW, HIGH, torch.rand(2, 30, 3, generator=seeded(0)))
-    normals = rendering.density_normals(planes, geometry, points)
+    volume_ = planes, given["laid"], geometry
+    normals = rendering.density_normals(*volume_, points)
     with torch.autocast("cpu", torch.bfloat16):
-        assert torch.equal(rendering.density_normals(planes, geometry, points), normals)
+        assert torch.equal(rendering.density_normals(*volume_, points), normals)
 
 
 @pytest.mark.parametrize("preset", PRESETS.values(), ids=PRESETS)
@@ -425,9 +439,10 @@ def test_density_normals_point_out_of_the_sphere() -> None:
     away = functional.normalize(torch.randn(1, 60, 3, generator=seeded(0)), dim=-1)
     points = torch.tensor(CENTRE) + RADIUS * away
     sphere = Sphere(density=300.0, soft=0.01)
-    found = rendering.density_normals(coordinates(), sphere.geometry, points)
+    found = rendering.density_normals(coordinates(), laid(), sphere.geometry, points)
     torch.testing.assert_close(found, away, atol=1e-3, rtol=0)
-    flat = rendering.density_normals(coordinates(), lambda p: 0.0 * p[..., 0] + 5.0, points)
+    even = lambda p, _: 0.0 * p[..., 0] + 5.0  # noqa: E731
+    flat = rendering.density_normals(coordinates(), laid(), even, points)
     assert not flat.any()
 
 
@@ -435,25 +450,25 @@ def test_density_normals_train_planes_and_decoder() -> None:
     given = learnt()
     planes, geometry = given["geometry_planes"], given["decoders"].geometry
     points = torch.lerp(LOW, HIGH, torch.rand(2, 30, 3))
-    found = rendering.density_normals(planes, geometry, points)
+    found = rendering.density_normals(planes, given["laid"], geometry, points)
     assert found.shape == (2, 30, 3)
     assert found.norm(dim=-1).max() < 1 + 1e-5
     found[..., 1].sum().backward()
     assert planes.grad.any() and planes.grad.isfinite().all()
     assert geometry.net[0].weight.grad.any()
     with pytest.raises(ValueError, match="points"):
-        rendering.density_normals(planes, geometry, points[0])
+        rendering.density_normals(planes, given["laid"], geometry, points[0])
 
 
 def test_density_jitter_measures_variation() -> None:
-    slope = lambda p: 100.0 * (off_planes(p)[..., 0] + 0.3)  # noqa: E731
-    at, beside = rendering.density_jitter(coordinates(2), slope, 4000, seeded(0))
+    slope = lambda p, _: 100.0 * (off_planes(p)[..., 0] + 0.3)  # noqa: E731
+    at, beside = rendering.density_jitter(coordinates(2), laid(2), slope, 4000, seeded(0))
     assert at.shape == beside.shape == (2, 4000)
     expected = 100.0 * rendering.JITTER * math.sqrt(2 / math.pi)  # mean |normal|
     inside = (at - 30).abs() < 25  # at the ends, planes stand still
     assert abs((at - beside).abs()[inside].mean() / expected - 1) < 0.05
     assert abs(at.mean() / 30.0 - 1) < 0.05, "points fill the box"
-    again = rendering.density_jitter(coordinates(2), slope, 4000, seeded(0))
+    again = rendering.density_jitter(coordinates(2), laid(2), slope, 4000, seeded(0))
     assert torch.equal(again[1], beside)
 
 

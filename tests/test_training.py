@@ -13,7 +13,7 @@ from toy_training import SCHEDULE, Line
 
 from totalediting import checkpoints
 from totalediting.errors import InputError
-from totalediting.training import learning_rate, train
+from totalediting.training import learning_rate, paced, train
 
 FACTS = {"data": "line"}
 SCRIPT = Path(__file__).parent / "toy_training.py"
@@ -109,3 +109,18 @@ def test_the_learning_rate_rises_and_falls() -> None:
     assert rates[0] == pytest.approx(0.01)
     assert max(rates) == rates[SCHEDULE.warmup] == pytest.approx(0.05)
     assert rates[-1] < 0.1 * rates[SCHEDULE.warmup]
+
+
+def test_a_module_sets_its_own_pace() -> None:
+    """Adam's first step is the learning rate, whatever the gradient."""
+    fast, slow = torch.nn.Linear(2, 1), torch.nn.Linear(1, 1)
+    fast.pace = 5.0  # pyright: ignore[reportAttributeAccessIssue]
+    network = torch.nn.Sequential(fast, slow)
+    before = [p.clone() for p in network.parameters()]
+    optimiser = torch.optim.Adam(paced(network), 1e-3)
+    for group in optimiser.param_groups:
+        group["lr"] *= group["pace"]
+    network(torch.ones(1, 2)).sum().backward()
+    optimiser.step()
+    moved = [float((p - q).abs().max()) for p, q in zip(network.parameters(), before, strict=True)]
+    assert moved == pytest.approx([5e-3, 5e-3, 1e-3, 1e-3], rel=1e-3)

@@ -70,7 +70,7 @@ def test_shapes_and_ranges(pairs: PortraitPairs):
     batch = next(iter(loader(pairs, 3)))
     expected = {
         "app_image": (3, 24, 24),
-        "app_frontal": (4, 24, 24),
+        "app_frontal": (6, 24, 24),
         "mot_image": (3, 24, 24),
         "albedo": (3, 24, 24),
         "normal": (3, 24, 24),

@@ -67,7 +67,7 @@ class AppearanceEncoder(nn.Module):
         """Encode pictures (B, 3, S, S) in [0, 1]; `frontal` is what `frontalise` makes of them.
 
         Raises:
-            ValueError: other shapes than (B, 3, S, S) and (B, 4, S, S).
+            ValueError: other shapes than (B, 3, S, S) and (B, 6, S, S).
         """
         side = self.xy.shape[-1]
         for name, x, channels in (("image", image, 3), ("frontal", frontal, CHANNELS)):
@@ -81,7 +81,7 @@ class AppearanceEncoder(nn.Module):
 
 
 def _trunk(preset: Preset) -> nn.Sequential:
-    """(B, 13, S, S) -> (B, 2 global_channels, S / 8, S / 8): ResNet-34 with an output stride of 8.
+    """(B, 15, S, S) -> (B, 2 global_channels, S / 8, S / 8): ResNet-34 with an output stride of 8.
 
     Widths are ResNet-34's where global_channels is 256. A picture of half the side gets half the
     blocks, so that a feature sees about the same share of it.
@@ -100,7 +100,7 @@ def _trunk(preset: Preset) -> nn.Sequential:
 
 
 def _detail(out: int) -> nn.Sequential:
-    """(B, 10, S, S) -> (B, out, S / 2, S / 2): five convolutions, without norms, as in Lp3D."""
+    """(B, 12, S, S) -> (B, out, S / 2, S / 2): five convolutions, without norms, as in Lp3D."""
     layers: list[nn.Module] = [conv(_FINE, out, 7, 2)]
     for _ in range(4):
         layers += [nn.LeakyReLU(0.01), conv(out, out)]

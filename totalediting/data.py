@@ -46,7 +46,7 @@ class Sample(NamedTuple):
     app_image: Tensor
     """I_app (3, S, S), display-referred in [0, 1]."""
     app_frontal: Tensor
-    """(4, S, S) what `frontal.frontalise` makes of it."""
+    """(6, S, S) what `frontal.frontalise` makes of it."""
     mot_image: Tensor
     """I_mot and target I* (3, S, S)."""
     albedo: Tensor

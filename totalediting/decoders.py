@@ -1,19 +1,23 @@
 """Point-wise decoders: what a point of the volume is, from the tri-planes' features there.
 
 Symbols: B batch, N points, C = preset.plane_channels, L = frontal.LAID, h rows of a lightmap; t_geo
-features of the geometry's tri-plane (B, N, C), t_shd of the shading's and of the source laid onto
-the bust (B, N, C + L). Vectors are unit and in model space (metres, Z up), posed unless
-called canonical: normal n, view v (from the point to the viewer), r = v reflected at n. Lightmaps
+features of the geometry's tri-plane (B, N, C), i how far points are inside the skin, t_shd features
+of the shading's tri-plane and of the source laid onto the bust (B, N, C + L). Vectors are unit and
+in model space (metres, Z up), posed unless called canonical: normal n, view v (from the point to
+the viewer), r = v reflected at n. Lightmaps
 have a frame of their own, into which `to_light` takes model space. Light, colour and shadings are
 linear Rec.709, or display-referred where `preset.colour` is "srgb".
 
-    sigma = D_geo(t_geo)                        n^c, a, w = D_f(t_shd)
+    sigma = D_geo([t_geo, i])                   n^c, a - source, w = D_f(t_shd)
     k_d = D_d([t_shd, n])                       k_s(e) = D_s([t_shd, r])
     delta = D_delta([a, s_d, s_s(e) ...])
     c = k_d a * s_d + sum_e k_s(e) s_s(e) + delta                (paper, section 3.3, eq. render)
 
-Hidden layers are Softplus, as in EG3D (Chan et al. 2022). First and last layers are drawn so that a
-fresh network is a translucent fog (`FRESH`) with k_d = 1, small k_s and no residual.
+The albedo is what D_f adds to the colour that the source shows there, in logits: light and shadow
+are taken off it. Hidden layers are Softplus, as in EG3D (Chan et al. 2022). First and last layers
+are drawn so that a fresh network is the bust in a translucent fog (`FRESH`), with the source's
+colour, k_d = 1, small k_s and no residual. These networks are small and must become steep, so they
+learn at `PACE` times the rate of the others.
 """
 
 from __future__ import annotations
@@ -27,9 +31,9 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from totalediting.blocks import linear
-from totalediting.frontal import LAID
+from totalediting.frontal import LAID, colour_of
 from totalediting.lightmaps import LOBES, SHININESS, encode, sample
-from totalediting.phong import reflect
+from totalediting.phong import display, reflect, undisplay
 from totalediting.presets import Preset
 
 DENSITY_SCALE = 50.0
@@ -40,6 +44,12 @@ a surface that stops 95 % of the light within 5 mm (600 / m) needs only x = 13.
 """
 FRESH = -3.0
 """Mean of a fresh x: about 0.9 / m, which stops two fifths of the light across a box of 0.6 m."""
+FULL = 12.0
+"""What fresh x is more inside the skin: 400 / m, which stops all light within 1 cm."""
+SKIN = 0.016
+"""Thickness over which that rises, in places: 2 mm at the face, see `space`."""
+PACE = 6.0
+"""Their learning rate over that of all else; instant-NGP's for such networks is 1e-2."""
 FRESH_SPECULAR = 0.05
 """A fresh specular coefficient, about the reflectance of skin at grazing and frontal angles."""
 
@@ -77,15 +87,19 @@ class Shading(NamedTuple):
 
 
 class GeometryDecoder(nn.Module):
-    """D_geo: features (B, N, C) to density sigma (B, N) in 1/metre, positive."""
+    """D_geo: features (B, N, C) and `frontal.inside` (B, N) to density sigma (B, N) in 1/metre,
+    positive."""
 
     def __init__(self, preset: Preset) -> None:
         super().__init__()
-        self.net = _mlp(preset.plane_channels, preset.hidden, 1)
+        self.net = _mlp(preset.plane_channels + 1, preset.hidden, 1)
         _start(self.net, [FRESH], 1.0)
 
-    def forward(self, features: Tensor) -> Tensor:
-        return DENSITY_SCALE * functional.softplus(self.net(features)[..., 0] - 1.0)
+    def forward(self, features: Tensor, inside: Tensor) -> Tensor:
+        skin = torch.sigmoid(inside / SKIN)
+        known = torch.cat([features, 2 * skin[..., None] - 1], -1)
+        x = self.net(known)[..., 0] + FULL * skin
+        return DENSITY_SCALE * functional.softplus(x - 1.0)
 
 
 class ShadingDecoder(nn.Module):
@@ -123,8 +137,9 @@ class ShadingDecoder(nn.Module):
             ValueError: a shape does not fit.
         """
         _check(features, view, lightmaps, to_light)
-        direction, albedo, w = self.surface(features).tensor_split((3, 6), -1)
-        canonical, albedo = functional.normalize(direction, dim=-1), torch.sigmoid(albedo)
+        direction, more, w = self.surface(features).tensor_split((3, 6), -1)
+        albedo = torch.sigmoid(torch.logit(_source(features)) + more)
+        canonical = functional.normalize(direction, dim=-1)
         normal = to_posed(canonical)
         reflected = reflect(view, normal)
 
@@ -155,22 +170,27 @@ class ShadingDecoder(nn.Module):
 class PlainDecoder(nn.Module):
     """The baseline's colour decoder: colour from t_shd alone, the same in any light.
 
-    Called like `ShadingDecoder`. Colour is Softplus in linear light, sigmoid in display-referred.
-    Albedo is the colour, the normal an output of its own; what only light makes is 0.
+    Called like `ShadingDecoder`. Colour is what the network adds to the source's, before Softplus
+    in linear light, sigmoid in display-referred. Albedo is the colour, the normal an output of its
+    own; what only light makes is 0.
     """
 
     def __init__(self, preset: Preset) -> None:
         super().__init__()
         self.surface = _surface(preset)
-        self.shown = functional.softplus if preset.colour == "linear" else torch.sigmoid
+        self.linear = preset.colour == "linear"
 
     def forward(
         self, features: Tensor, to_posed: ToPosed, view: Tensor, lightmaps: Tensor, to_light: Tensor
     ) -> Shading:
         """As `ShadingDecoder.forward`; of view, lightmaps and to_light only the shapes count."""
         _check(features, view, lightmaps, to_light)
-        direction, colour, w = self.surface(features).tensor_split((3, 6), -1)
-        canonical, colour = functional.normalize(direction, dim=-1), self.shown(colour)
+        direction, more, w = self.surface(features).tensor_split((3, 6), -1)
+        canonical, source = functional.normalize(direction, dim=-1), _source(features)
+        if self.linear:
+            colour = functional.softplus(source.expm1().log() + more)
+        else:
+            colour = torch.sigmoid(torch.logit(display(source)) + more)
         zero = torch.zeros_like(colour)
         k_s = zero.new_zeros(*zero.shape[:-1], len(SHININESS))
         return Shading(
@@ -192,6 +212,8 @@ class PlainDecoder(nn.Module):
 class Decoders(nn.Module):
     """D_geo as `geometry` and D_shd as `shading`, the kind that `preset.decoder` names."""
 
+    pace = PACE
+
     def __init__(self, preset: Preset) -> None:
         super().__init__()
         self.geometry = GeometryDecoder(preset)
@@ -203,11 +225,20 @@ def _mlp(inputs: int, hidden: int, outputs: int) -> nn.Sequential:
     return nn.Sequential(linear(inputs, hidden), nn.Softplus(), linear(hidden, outputs))
 
 
+def _source(features: Tensor) -> Tensor:
+    """(B, N, 3) linear colour that the source shows, from t_shd; within (0, 1)."""
+    return undisplay(colour_of(features[..., -LAID:])).clamp(0.01, 0.99)
+
+
 def _surface(preset: Preset) -> nn.Sequential:
-    """Features to a direction, colour before its activation, and w: 3 + 3 + preset.features."""
+    """Features to a direction, what is added to the source's colour before the activation, and w:
+    3 + 3 + preset.features."""
     net = _mlp(preset.plane_channels + LAID, preset.hidden, 6 + preset.features)
     # Normals start towards the face's side: one near zero would turn with every step.
     _start(net, [0.0, -1.0, 0.0] + [0.0] * (3 + preset.features), 1.0)
+    last = net[-1]
+    assert isinstance(last, nn.Linear)
+    nn.init.zeros_(last.weight[3:6])
     return net
 
 

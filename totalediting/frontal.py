@@ -8,6 +8,10 @@ and the shading decoder sees the colour itself at each point (pixel-aligned feat
 to show, so that brows and lips of the source move as the skin does. Beyond the skin, where hair and
 clothes are, the motion of the skin is continued.
 
+With it comes the relief of the bust, where its front and its back are: what is between them is skin
+and full, so that the density decoder has only hair and clothes to find, and what skin the relief
+gets wrong.
+
 Symbols: B batch, V control points, S side of pictures. Axes of the result are those of the plane:
 columns along +X, rows along +Z, downwards, over the box as `space` lays it onto planes.
 """
@@ -21,12 +25,17 @@ from torch.nn import functional
 from totalediting.field import Control
 from totalediting.space import off_planes, on_planes
 
-CHANNELS = 4
-"""Colour, and how squarely the camera sees the skin."""
-LAID = 2 * CHANNELS
+CHANNELS = 6
+"""Colour, how squarely the camera sees the skin, and its relief."""
+_SEEN = 4  # of them that the source shows
+LAID = CHANNELS + _SEEN
 """Channels of `both_sides`."""
 
 _GRID = 64  # texels along a side that control points are gathered in: about as many as lie there
+_CLOSED = {-1.0: 3, 1.0: 9}  # texels: what is closed of the front (towards -Y) and of the back
+_BEHIND = 0.06  # places behind the front, 8 mm, from where on skin is within a mouth or a socket
+_NOTHING = -2.0  # height of the skin where there is none
+_EITHER = 0.01  # weight of a side that the camera does not see
 _TRUST = 0.2  # control points that a texel's coarser surroundings count as
 
 
@@ -34,10 +43,11 @@ _TRUST = 0.2  # control points that a texel's coarser surroundings count as
 def frontalise(
     image: Tensor, control: Control, camera_to_world: Tensor, intrinsics: Tensor
 ) -> Tensor:
-    """Pictures (B, 3, S, S) on the front of the bust at rest: (B, 4, S, S).
+    """Pictures (B, 3, S, S) on the front of the bust at rest: (B, 6, S, S) in [0, 1].
 
-    The last channel is the cosine between the skin's normal and the direction to the camera in
-    [0, 1]: 0 where the source hides the skin, or there is none. Colours are given everywhere.
+    After the colour comes the cosine between the skin's normal and the direction to the camera: 0
+    where the source hides the skin, or there is none. Colours are given everywhere. Last come the
+    places of front and back along Y, as shares of the planes' side; 1 and 0 where there is no skin.
 
     Args:
         image: in [0, 1].
@@ -59,10 +69,26 @@ def frontalise(
 
 
 def both_sides(frontal: Tensor) -> Tensor:
-    """(B, 8, S, S) in [-1, 1]: a picture (B, 4, S, S) of `frontalise`, and its mirror image, which
-    shows what the pose hides."""
-    laid = 2 * frontal - 1
-    return torch.cat([laid, laid.flip(-1)], 1)
+    """(B, 10, S, S) in [-1, 1]: what a picture (B, 6, S, S) of `frontalise` shows, its mirror
+    image, which shows what the pose hides, and the relief."""
+    seen, relief = (2 * frontal - 1).split([_SEEN, CHANNELS - _SEEN], 1)
+    return torch.cat([seen, seen.flip(-1), relief], 1)
+
+
+def colour_of(laid: Tensor) -> Tensor:
+    """(..., 3) display-referred colour in [0, 1] that `laid` (..., LAID), channels of `both_sides`,
+    shows: of the two sides, by the square of how squarely the camera sees them."""
+    one, other = ((laid[..., k : k + _SEEN] + 1) / 2 for k in (0, _SEEN))
+    weights = [part[..., 3:].square() + _EITHER for part in (one, other)]
+    total = weights[0] * one[..., :3] + weights[1] * other[..., :3]
+    return total / (weights[0] + weights[1])
+
+
+def inside(laid: Tensor, place: Tensor) -> Tensor:
+    """How far (...) points whose place along Y on the planes is `place` (...) are behind the front
+    and before the back of the skin, in places; below 0 outside. `laid` (..., LAID) is there."""
+    front, back = laid[..., 2 * _SEEN :].unbind(-1)
+    return torch.minimum(place - front, back - place)
 
 
 def _lay(image: Tensor, control: Control, camera_to_world: Tensor, intrinsics: Tensor) -> Tensor:
@@ -71,10 +97,14 @@ def _lay(image: Tensor, control: Control, camera_to_world: Tensor, intrinsics: T
     to_camera = camera_to_world[:, None, :3, 3] - control.posed
     facing = (control.posed_normals * functional.normalize(to_camera, dim=-1)).sum(-1)
 
-    at = on_planes(control.canonical)[..., 0::2]
+    places = on_planes(control.canonical)
+    at = places[..., 0::2]
+    texel = ((at + 1) / 2 * _GRID).long().clamp(0, _GRID - 1)
+    index = texel[..., 1] * _GRID + texel[..., 0]
+    relief = _relief(places, control.canonical_normals, index)
+    behind = places[..., 1] - relief[:, 0].flatten(1).gather(1, index)
     front = (-control.canonical_normals[..., 1]).clamp_min(0)
-    inside = (at.abs() < 1).all(-1)
-    weight = (front * inside)[..., None]
+    weight = (front * (places.abs() < 1).all(-1) * (behind < _BEHIND))[..., None]
 
     # What an affine motion explains goes on beyond the skin; the rest fades into its surroundings.
     basis = torch.cat([control.canonical[..., 0::2], torch.ones_like(at[..., :1])], -1)
@@ -82,8 +112,6 @@ def _lay(image: Tensor, control: Control, camera_to_world: Tensor, intrinsics: T
     affine = torch.linalg.solve(gram, (weight * basis).mT @ place)
     known = torch.cat([place - basis @ affine, facing.clamp(0, 1)[..., None]], -1)
 
-    texel = ((at + 1) / 2 * _GRID).long().clamp(0, _GRID - 1)
-    index = texel[..., 1] * _GRID + texel[..., 0]
     sums = weight.new_zeros(batch, _GRID**2, 4)
     values = torch.cat([weight, weight * known], -1)
     sums.scatter_add_(1, index[..., None].expand_as(values), values)
@@ -98,7 +126,34 @@ def _lay(image: Tensor, control: Control, camera_to_world: Tensor, intrinsics: T
     grid = torch.stack([texels[..., 0], texels[..., 2], torch.ones_like(rows)], -1)
     flow = (grid.flatten(0, 1) @ affine).unflatten(1, (side, side)) + filled[:, :2].movedim(1, -1)
     colour = functional.grid_sample(image, flow, padding_mode="border", align_corners=False)
-    return torch.cat([colour, skin * filled[:, 2:].clamp(0, 1)], 1)
+    facing = skin * filled[:, 2:].clamp(0, 1)
+    relief = functional.interpolate(relief, (side, side), mode="bilinear")
+    return torch.cat([colour, facing, (relief + 1) / 2], 1)
+
+
+def _relief(places: Tensor, normals: Tensor, texel: Tensor) -> Tensor:
+    """Places (B, 2, n, n) along Y of the foremost and the hindmost skin in a texel; control points
+    at `places` (B, V, 3) with `normals` lie in the one of number `texel` (B, V)."""
+    sides = []
+    for towards, reach in _CLOSED.items():
+        counts = (places.abs() < 1).all(-1) & (towards * normals[..., 1] > 0)
+        height = torch.where(counts, towards * places[..., 1], _NOTHING)
+        found = torch.full_like(height[:, :1], _NOTHING).repeat(1, _GRID**2)
+        found = found.scatter_reduce(1, texel, height, "amax").unflatten(-1, (1, _GRID, _GRID))
+        # Points are sparser than texels, and some lie within mouth and eye sockets.
+        closed = _close(found, reach)
+        known = (closed > _NOTHING).float()
+        filled = _fill(torch.cat([known, known * closed], 1))
+        skin = _close(known, 5)
+        height = torch.where(known > 0, closed, filled)
+        sides.append(torch.where(skin > 0, towards * height, -towards))
+    return torch.cat(sides, 1)
+
+
+def _close(picture: Tensor, side: int) -> Tensor:
+    """What is lower than all around it within a square of `side`, raised to that (a closing)."""
+    grown = functional.max_pool2d(picture, side, 1, side // 2)
+    return -functional.max_pool2d(-grown, side, 1, side // 2)
 
 
 def _project(points: Tensor, camera_to_world: Tensor, intrinsics: Tensor, side: int) -> Tensor:

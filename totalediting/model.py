@@ -114,7 +114,7 @@ class TotalEditing(nn.Module):
 
         Args:
             app_image: I_app (B, 3, S, S) in [0, 1].
-            app_frontal: what `frontal.frontalise` makes of it (B, 4, S, S).
+            app_frontal: what `frontal.frontalise` makes of it (B, 6, S, S).
             e_app, e_mot: (B, 54) codes of the motion in I_app and of the motion to show.
             control: the bust in the pose to show and at rest (B, V, 3), model space, or what
                 `deformation` makes of it; None where it is at rest.

@@ -92,9 +92,9 @@ def terms(
         found["surface"] = losses.surface_loss(
             rendering.weights, rendering.points, place.flatten(2).mT, wholly.flatten(1)
         )
-    planes, geometry = edit.planes.geometry, model.decoders.geometry
+    volume = edit.planes.geometry, edit.planes.laid, model.decoders.geometry
     if factors["tv"]:
-        found["tv"] = losses.tv_loss(*density_jitter(planes, geometry, _TV_POINTS, generator))
+        found["tv"] = losses.tv_loss(*density_jitter(*volume, _TV_POINTS, generator))
     if factors["density_normal"] and decomposed:
         batch_size, device = len(rendering.weights), rendering.weights.device
         count = rendering.weights[0].numel()
@@ -104,6 +104,6 @@ def terms(
             for a in (rendering.points, rendering.canonical_normals, rendering.weights)
         )
         with torch.no_grad():
-            facing = density_normals(planes, geometry, points)
+            facing = density_normals(*volume, points)
         found["density_normal"] = losses.density_normal_loss(normals, facing, weights[..., 0])
     return found

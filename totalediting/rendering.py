@@ -20,6 +20,7 @@ from torch.utils.checkpoint import checkpoint
 from totalediting import volume
 from totalediting.decoders import Decoders, Shading, ToPosed
 from totalediting.field import Field
+from totalediting.frontal import inside
 from totalediting.presets import Preset
 from totalediting.space import BOX_HIGH, BOX_LOW, on_planes
 
@@ -172,15 +173,21 @@ def render(
     )
 
 
-def density(planes: Tensor, geometry: Callable[[Tensor], Tensor], points: Tensor) -> Tensor:
-    """sigma (B, N) in 1/metre at canonical `points` (B, N, 3) of geometry `planes`; `geometry` is
-    a `GeometryDecoder` or anything called so. Single precision, also under autocast."""
+Geometry = Callable[[Tensor, Tensor], Tensor]
+"""A `GeometryDecoder`, or anything called so."""
+
+
+def density(planes: Tensor, laid: Tensor, geometry: Geometry, points: Tensor) -> Tensor:
+    """sigma (B, N) in 1/metre at canonical `points` (B, N, 3) of geometry `planes` and of what is
+    `laid` on them. Single precision, also under autocast."""
     with torch.autocast(planes.device.type, enabled=False):
-        planes = _full(planes)
-        return geometry(volume.triplane(planes, on_planes(_full(points))))
+        places = on_planes(_full(points))
+        shown = volume.plane(_full(laid), places[..., 0::2])
+        features = volume.triplane(_full(planes), places)
+        return geometry(features, inside(shown, places[..., 1]))
 
 
-def density_normals(planes: Tensor, geometry: Callable[[Tensor], Tensor], points: Tensor) -> Tensor:
+def density_normals(planes: Tensor, laid: Tensor, geometry: Geometry, points: Tensor) -> Tensor:
     """-grad sigma / |grad sigma| (B, N, 3) at canonical `points` (B, N, 3): where surfaces face.
 
     Central differences over `NORMAL_STEP`, six densities a point: `grid_sample` has no second
@@ -194,14 +201,15 @@ def density_normals(planes: Tensor, geometry: Callable[[Tensor], Tensor], points
     points = _full(points)
     shifts = NORMAL_STEP * torch.eye(3, dtype=points.dtype, device=points.device)
     around = points[:, None] + torch.cat([shifts, -shifts])[:, None]
-    found = density(planes, geometry, around.flatten(1, 2)).unflatten(1, (2, 3, -1))
+    found = density(planes, laid, geometry, around.flatten(1, 2)).unflatten(1, (2, 3, -1))
     gradient = (found[:, 0] - found[:, 1]).mT / (2.0 * NORMAL_STEP)
     return -functional.normalize(gradient, dim=-1, eps=1.0)
 
 
 def density_jitter(
     planes: Tensor,
-    geometry: Callable[[Tensor], Tensor],
+    laid: Tensor,
+    geometry: Geometry,
     count: int,
     generator: torch.Generator,
 ) -> tuple[Tensor, Tensor]:
@@ -216,7 +224,7 @@ def density_jitter(
     shift = torch.randn(size, generator=generator, dtype=low.dtype, device=low.device)
     points = torch.lerp(low, high, place)
     both = torch.cat([points, points + JITTER * shift], 1)
-    at, beside = density(planes, geometry, both).split(count, 1)
+    at, beside = density(planes, laid, geometry, both).split(count, 1)
     return at, beside
 
 
@@ -275,7 +283,7 @@ def _decode(subject: _Subject, rays: _Rays) -> tuple[Tensor, Tensor, ToPosed]:
         points = deformed.position
         if subject.turned:
             to_posed = deformed.to_posed
-    sigma = density(subject.geometry_planes, subject.decoders.geometry, points)
+    sigma = density(subject.geometry_planes, subject.laid, subject.decoders.geometry, points)
     sigma = sigma.view_as(rays.distances)
     weights = volume.quadrature(sigma, rays.distances, rays.near, rays.far)
     return weights, points, to_posed

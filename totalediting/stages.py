@@ -37,8 +37,8 @@ _STATIC = 0.25  # share of the stage `reconstruct` before pairs differ in motion
 SCHEDULES = {
     "tracker": Schedule(steps=1500, batch=24, learning_rate=4e-4),
     "lightmaps": Schedule(steps=2000, batch=24, learning_rate=4e-4),
-    "reconstruct": Schedule(steps=1300, batch=4, learning_rate=5e-4),
-    "joint": Schedule(steps=100, batch=4, learning_rate=1e-4, warmup=20),
+    "reconstruct": Schedule(steps=1500, batch=4, learning_rate=8e-4),
+    "joint": Schedule(steps=150, batch=4, learning_rate=2e-4, warmup=20),
 }
 """Of the preset `tiny`, on two cores."""
 

@@ -124,7 +124,7 @@ def train(
     fabric.barrier()
 
     optimiser = torch.optim.AdamW(
-        stage.network.parameters(), schedule.learning_rate, weight_decay=schedule.weight_decay
+        paced(stage.network), schedule.learning_rate, weight_decay=schedule.weight_decay
     )
     average = {name: value.clone() for name, value in stage.network.state_dict().items()}
     figures: dict[str, float] = {}
@@ -146,7 +146,7 @@ def train(
     for step in range(first, last):
         torch.manual_seed((seed * 1_000_003 + step) * 64 + fabric.global_rank)
         for group in optimiser.param_groups:
-            group["lr"] = learning_rate(schedule, step)
+            group["lr"] = group["pace"] * learning_rate(schedule, step)
         network.train()
         batch = fabric.to_device(next(batches))
         # Not Fabric's: it would round what goes into a network as well, cameras among it.
@@ -182,6 +182,19 @@ def train(
             fabric.barrier()
     log.close()
     return figures
+
+
+def paced(network: nn.Module) -> list[dict[str, Any]]:
+    """Groups of parameters for an optimiser: those of a module that has a number `pace` learn so
+    many times as fast as the schedule says."""
+    pace: dict[nn.Parameter, float] = {}
+    for module in network.modules():
+        if isinstance(number := getattr(module, "pace", None), float):
+            pace |= dict.fromkeys(module.parameters(), number)
+    groups: dict[float, list[nn.Parameter]] = {}
+    for parameter in network.parameters():
+        groups.setdefault(pace.get(parameter, 1.0), []).append(parameter)
+    return [{"params": found, "pace": pace} for pace, found in groups.items()]
 
 
 def learning_rate(schedule: Schedule, step: int) -> float:
