@@ -8,9 +8,8 @@ and the shading decoder sees the colour itself at each point (pixel-aligned feat
 to show, so that brows and lips of the source move as the skin does. Beyond the skin, where hair and
 clothes are, the motion of the skin is continued.
 
-With it comes the relief of the bust, where its front and its back are: what is between them is skin
-and full, so that the density decoder has only hair and clothes to find, and what skin the relief
-gets wrong.
+With it comes the bust's `relief`: what is between its front and its back is full, so that the
+density decoder has only hair and clothes to find, and what the relief gets wrong.
 
 Symbols: B batch, V control points, S side of pictures. Axes of the result are those of the plane:
 columns along +X, rows along +Z, downwards, over the box as `space` lays it onto planes.
@@ -23,6 +22,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from totalediting.field import Control
+from totalediting.relief import GRID, fill, relief_of, texels_of
 from totalediting.space import off_planes, on_planes
 
 CHANNELS = 6
@@ -31,12 +31,8 @@ _SEEN = 4  # of them that the source shows
 LAID = CHANNELS + _SEEN
 """Channels of `both_sides`."""
 
-_GRID = 64  # texels along a side that control points are gathered in: about as many as lie there
-_CLOSED = {-1.0: 3, 1.0: 9}  # texels: what is closed of the front (towards -Y) and of the back
 _BEHIND = 0.06  # places behind the front, 8 mm, from where on skin is within a mouth or a socket
-_NOTHING = -2.0  # height of the skin where there is none
 _EITHER = 0.01  # weight of a side that the camera does not see
-_TRUST = 0.2  # control points that a texel's coarser surroundings count as
 
 
 @torch.no_grad()
@@ -99,10 +95,9 @@ def _lay(image: Tensor, control: Control, camera_to_world: Tensor, intrinsics: T
 
     places = on_planes(control.canonical)
     at = places[..., 0::2]
-    texel = ((at + 1) / 2 * _GRID).long().clamp(0, _GRID - 1)
-    index = texel[..., 1] * _GRID + texel[..., 0]
-    relief = _relief(places, control.canonical_normals, index)
-    behind = places[..., 1] - relief[:, 0].flatten(1).gather(1, index)
+    texel = texels_of(places)
+    relief = relief_of(places, control.canonical_normals, texel)
+    behind = places[..., 1] - relief[:, 0].flatten(1).gather(1, texel)
     front = (-control.canonical_normals[..., 1]).clamp_min(0)
     weight = (front * (places.abs() < 1).all(-1) * (behind < _BEHIND))[..., None]
 
@@ -112,48 +107,23 @@ def _lay(image: Tensor, control: Control, camera_to_world: Tensor, intrinsics: T
     affine = torch.linalg.solve(gram, (weight * basis).mT @ place)
     known = torch.cat([place - basis @ affine, facing.clamp(0, 1)[..., None]], -1)
 
-    sums = weight.new_zeros(batch, _GRID**2, 4)
+    sums = weight.new_zeros(batch, GRID**2, 4)
     values = torch.cat([weight, weight * known], -1)
-    sums.scatter_add_(1, index[..., None].expand_as(values), values)
-    sums = sums.mT.unflatten(-1, (_GRID, _GRID))
-    filled = functional.interpolate(_fill(sums), (side, side), mode="bilinear")
+    sums.scatter_add_(1, texel[..., None].expand_as(values), values)
+    sums = sums.mT.unflatten(-1, (GRID, GRID))
+    filled = functional.interpolate(fill(sums), (side, side), mode="bilinear")
     skin = functional.max_pool2d((sums[:, :1] > 0).float(), 5, 1, 2)
     skin = functional.interpolate(skin, (side, side), mode="bilinear")
 
     middle = (2 * torch.arange(side, device=image.device) + 1) / side - 1
     rows, columns = torch.meshgrid(middle, middle, indexing="ij")
-    texels = off_planes(torch.stack([columns, torch.zeros_like(rows), rows], -1))
-    grid = torch.stack([texels[..., 0], texels[..., 2], torch.ones_like(rows)], -1)
+    points = off_planes(torch.stack([columns, torch.zeros_like(rows), rows], -1))
+    grid = torch.stack([points[..., 0], points[..., 2], torch.ones_like(rows)], -1)
     flow = (grid.flatten(0, 1) @ affine).unflatten(1, (side, side)) + filled[:, :2].movedim(1, -1)
     colour = functional.grid_sample(image, flow, padding_mode="border", align_corners=False)
     facing = skin * filled[:, 2:].clamp(0, 1)
     relief = functional.interpolate(relief, (side, side), mode="bilinear")
     return torch.cat([colour, facing, (relief + 1) / 2], 1)
-
-
-def _relief(places: Tensor, normals: Tensor, texel: Tensor) -> Tensor:
-    """Places (B, 2, n, n) along Y of the foremost and the hindmost skin in a texel; control points
-    at `places` (B, V, 3) with `normals` lie in the one of number `texel` (B, V)."""
-    sides = []
-    for towards, reach in _CLOSED.items():
-        counts = (places.abs() < 1).all(-1) & (towards * normals[..., 1] > 0)
-        height = torch.where(counts, towards * places[..., 1], _NOTHING)
-        found = torch.full_like(height[:, :1], _NOTHING).repeat(1, _GRID**2)
-        found = found.scatter_reduce(1, texel, height, "amax").unflatten(-1, (1, _GRID, _GRID))
-        # Points are sparser than texels, and some lie within mouth and eye sockets.
-        closed = _close(found, reach)
-        known = (closed > _NOTHING).float()
-        filled = _fill(torch.cat([known, known * closed], 1))
-        skin = _close(known, 5)
-        height = torch.where(known > 0, closed, filled)
-        sides.append(torch.where(skin > 0, towards * height, -towards))
-    return torch.cat(sides, 1)
-
-
-def _close(picture: Tensor, side: int) -> Tensor:
-    """What is lower than all around it within a square of `side`, raised to that (a closing)."""
-    grown = functional.max_pool2d(picture, side, 1, side // 2)
-    return -functional.max_pool2d(-grown, side, 1, side // 2)
 
 
 def _project(points: Tensor, camera_to_world: Tensor, intrinsics: Tensor, side: int) -> Tensor:
@@ -163,19 +133,3 @@ def _project(points: Tensor, camera_to_world: Tensor, intrinsics: Tensor, side: 
     focal = torch.stack([intrinsics[:, 0, 0], -intrinsics[:, 1, 1]], -1)[:, None]
     pixels = focal * local[..., :2] / depth + intrinsics[:, None, :2, 2]
     return 2 * pixels / side - 1
-
-
-def _fill(sums: Tensor) -> Tensor:
-    """Weighted sums (B, 1 + C, n, n), weight first, to means (B, C, n, n) without holes.
-
-    A texel's mean leans on that of the coarser one around it, the less the more weight it has.
-    """
-    levels = [sums]
-    while levels[-1].shape[-1] > 1:
-        levels.append(4 * functional.avg_pool2d(levels[-1], 2))
-    last = levels.pop()
-    mean = last[:, 1:] / last[:, :1].clamp_min(1e-6)
-    for level in reversed(levels):
-        around = functional.interpolate(mean, scale_factor=2.0, mode="bilinear")
-        mean = (level[:, 1:] + _TRUST * around) / (level[:, :1] + _TRUST)
-    return mean

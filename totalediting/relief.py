@@ -1,0 +1,64 @@
+"""Where the front and the back of the bust are along Y: a relief over the planes' XZ plane.
+
+Symbols: B batch, V control points, n = `GRID` texels along a side; places as of `space.on_planes`.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+GRID = 64
+"""Texels along a side that control points are gathered in: they lie about as densely."""
+_CLOSED = {-1.0: 3, 1.0: 9}  # texels: what is closed of the front (towards -Y) and of the back
+_NOTHING = -2.0  # height of the skin where there is none
+_TRUST = 0.2  # control points that a texel's coarser surroundings count as
+
+
+def texels_of(places: Tensor) -> Tensor:
+    """Number (B, V) of the texel, counted by rows, that places (B, V, 3) lie in; at the border
+    also those beyond."""
+    column, _, row = ((places + 1) / 2 * GRID).long().clamp(0, GRID - 1).unbind(-1)
+    return row * GRID + column
+
+
+def relief_of(places: Tensor, normals: Tensor, texel: Tensor) -> Tensor:
+    """Places (B, 2, n, n) along Y of the foremost and the hindmost skin in a texel; control points
+    at `places` (B, V, 3) with `normals` lie in the one of number `texel` (B, V)."""
+    sides = []
+    for towards, reach in _CLOSED.items():
+        counts = (places.abs() < 1).all(-1) & (towards * normals[..., 1] > 0)
+        height = torch.where(counts, towards * places[..., 1], _NOTHING)
+        found = torch.full_like(height[:, :1], _NOTHING).repeat(1, GRID**2)
+        found = found.scatter_reduce(1, texel, height, "amax").unflatten(-1, (1, GRID, GRID))
+        # Points are sparser than texels, and some lie within mouth and eye sockets.
+        closed = _close(found, reach)
+        known = (closed > _NOTHING).float()
+        filled = fill(torch.cat([known, known * closed], 1))
+        skin = _close(known, 5)
+        height = torch.where(known > 0, closed, filled)
+        sides.append(torch.where(skin > 0, towards * height, -towards))
+    return torch.cat(sides, 1)
+
+
+def _close(picture: Tensor, side: int) -> Tensor:
+    """What is lower than all around it within a square of `side`, raised to that (a closing)."""
+    grown = functional.max_pool2d(picture, side, 1, side // 2)
+    return -functional.max_pool2d(-grown, side, 1, side // 2)
+
+
+def fill(sums: Tensor) -> Tensor:
+    """Weighted sums (B, 1 + C, n, n), weight first, to means (B, C, n, n) without holes.
+
+    A texel's mean leans on that of the coarser one around it, the less the more weight it has.
+    """
+    levels = [sums]
+    while levels[-1].shape[-1] > 1:
+        levels.append(4 * functional.avg_pool2d(levels[-1], 2))
+    last = levels.pop()
+    mean = last[:, 1:] / last[:, :1].clamp_min(1e-6)
+    for level in reversed(levels):
+        around = functional.interpolate(mean, scale_factor=2.0, mode="bilinear")
+        mean = (level[:, 1:] + _TRUST * around) / (level[:, :1] + _TRUST)
+    return mean
