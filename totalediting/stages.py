@@ -36,9 +36,9 @@ _STATIC = 0.25  # share of the stage `reconstruct` before pairs differ in motion
 
 SCHEDULES = {
     "tracker": Schedule(steps=1500, batch=24, learning_rate=4e-4),
-    "lightmaps": Schedule(steps=2000, batch=24, learning_rate=4e-4),
-    "reconstruct": Schedule(steps=1500, batch=4, learning_rate=8e-4),
-    "joint": Schedule(steps=150, batch=4, learning_rate=2e-4, warmup=20),
+    "lightmaps": Schedule(steps=1600, batch=24, learning_rate=4e-4),
+    "reconstruct": Schedule(steps=1400, batch=4, learning_rate=8e-4),
+    "joint": Schedule(steps=120, batch=4, learning_rate=2e-4, warmup=20),
 }
 """Of the preset `tiny`, on two cores."""
 
