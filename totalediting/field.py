@@ -93,6 +93,12 @@ class Table:
         """The inverse of `stack`."""
         return [Table(values, self.low, self.high, ()) for values in self.values.split(1)]
 
+    def mirrored(self) -> Table:
+        """The table of the mirrored scene, x for -x; of a box that is its own mirror image."""
+        signs = self.values.new_tensor([-1.0, 1, 1, 1, 1, -1, -1])  # an axis is a pseudovector
+        values = self.values.flip(-1) * signs[:, None, None, None]
+        return Table(values, self.low, self.high, self.lead)
+
     @torch.no_grad()
     def __call__(self, points: Tensor) -> Field:
         """T and R at `points` (..., P, 3), whose leading dimensions are the table's.

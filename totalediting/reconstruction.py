@@ -14,8 +14,9 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from totalediting import losses, metrics, phong
-from totalediting.data import PortraitPairs, Sample
+from totalediting.data import MIRRORED, PortraitPairs, Sample
 from totalediting.field import Control, Table
+from totalediting.mirroring import MIRROR
 from totalediting.model import Edit, TotalEditing, Window
 from totalediting.numbered import loader, to_device
 from totalediting.objective import terms, truth_of
@@ -56,13 +57,21 @@ class Pairs:
     def deformation(self, model: TotalEditing, batch: Sample) -> Table:
         """The batch's deformations; each shot's is solved once and kept, as far as there is room.
 
-        They take a third of a step on a CPU, and do not change.
+        They take a third of a step on a CPU, and do not change. A mirrored shot's is the mirror
+        image of the shot's own.
         """
-        missing = {key: k for k, key in enumerate(batch.key) if key not in self._tables}
+        turned = [key.endswith(MIRRORED) for key in batch.key]
+        shots = [key.removesuffix(MIRRORED) for key in batch.key]
+        missing = {shot: k for k, shot in enumerate(shots) if shot not in self._tables}
         if missing:
-            control = Control(*(a[list(missing.values())] for a in batch.control))
+            sides = batch.control.posed.new_ones(len(shots), 1, 3)
+            sides[turned] = MIRROR.to(sides)
+            chosen = list(missing.values())
+            control = Control(*((sides * a)[chosen] for a in batch.control))
             self._tables |= zip(missing, model.deformation(control).unstack(), strict=True)
-        table = Table.stack([self._tables[key] for key in batch.key])
+        tables = [self._tables[shot] for shot in shots]
+        tables = [t.mirrored() if turn else t for t, turn in zip(tables, turned, strict=True)]
+        table = Table.stack(tables)
         while len(self._tables) * table.values[0].nbytes > _ROOM:
             del self._tables[next(iter(self._tables))]
         return table
