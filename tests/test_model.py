@@ -104,7 +104,7 @@ def test_pictures_of_a_batch_do_not_mix(sources) -> None:
         return Control(*(a[:1] for a in value)) if isinstance(value, Control) else value[:1]
 
     first = model(**{name: alone(value) for name, value in sources.items()}).image
-    torch.testing.assert_close(first, whole[:1], atol=1e-4, rtol=0)
+    torch.testing.assert_close(first, whole[:1], atol=1e-3, rtol=0)
 
 
 def test_twice_the_light_is_twice_the_shading(sources) -> None:

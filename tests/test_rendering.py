@@ -20,12 +20,12 @@ from totalediting.decoders import Decoders, Shading
 from totalediting.deformation import mls
 from totalediting.discriminator import CHANNELS, Discriminator
 from totalediting.field import Control, Field, tabulate
-from totalediting.frontal import LAID
+from totalediting.frontal import LAID, both_sides
 from totalediting.lightmaps import bake, sample
 from totalediting.presets import PRESETS, Preset
 from totalediting.rendering import Rendering, render
 from totalediting.space import BOX_HIGH, BOX_LOW, off_planes, on_planes
-from totalediting.superresolution import Background, SuperResolution, over
+from totalediting.superresolution import Background, SuperResolution, fine_structure, over
 
 SMALL = replace(
     PRESETS["tiny"],
@@ -479,6 +479,30 @@ def all_have_gradients(module: nn.Module) -> None:
     for name, parameter in module.named_parameters():
         assert parameter.grad is not None and parameter.grad.isfinite().all(), name
         assert parameter.grad.any(), name
+
+
+def test_fine_structure_is_that_of_the_source() -> None:
+    """Stripes on one side of the source's skin, four texels wide: on the surface there, and
+    nowhere else."""
+    size, small = 64, 32
+    stripes = torch.where(torch.arange(48) % 8 < 4, 0.7, 0.3).expand(1, 3, 48, 48)
+    front, back = (torch.full((1, 1, 48, 48), value) for value in (0.2, 0.8))
+    facing = (torch.arange(48) < 24).float().expand(1, 1, 48, 48)
+    laid = both_sides(torch.cat([stripes, facing, front, back], 1))
+    place = (2 * torch.arange(small) + 1.0) / small - 1
+    x, z = torch.meshgrid(place, place, indexing="xy")
+    points = off_planes(torch.stack([x, torch.zeros_like(x), z], -1)).movedim(-1, 0)[None]
+    opacity = (x < 0).float()[None, None]
+    found = fine_structure(laid, points * opacity, opacity, size)
+    assert found.shape == (1, 3, size, size)
+    assert torch.equal(found[..., 36:], torch.ones_like(found[..., 36:]))
+    seen = found[0, 0, 10, 6:28]
+    assert seen.max() > 1.2 and seen.min() < 0.8
+    shown = functional.interpolate(stripes, (size, size), mode="bilinear")[0, 0, 10, 6:28]
+    assert torch.corrcoef(torch.stack([seen, shown]))[0, 1] > 0.8
+    even = both_sides(torch.cat([0 * stripes + 0.4, facing, front, back], 1))
+    plain = fine_structure(even, points * opacity, opacity, size)
+    torch.testing.assert_close(plain, torch.ones_like(plain))
 
 
 @pytest.mark.parametrize("image", [32, 64, 128])

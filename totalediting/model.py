@@ -6,7 +6,7 @@
     T, R from the posed bust                    where samples lie in canonical space, how n turns
     S_d, S_s(n)                                 light: baked (`lightmaps`) or seen (`illumination`)
     D_geo, D_shd, volume rendering              sigma, a, n, k_d, k_s, delta, w -> raw picture
-    background, super-resolution                -> the edited picture
+    background, super-resolution, fine structure of I_app -> the edited picture
 
 Symbols: B batch, S = preset.image, h = preset.neural, V control points, H rows of a lightmap.
 Model space: metres, Z up, the head at rest looks along -Y, its centre is the origin.
@@ -28,7 +28,7 @@ from totalediting.presets import Preset
 from totalediting.reenactment import Deenactor, Reenactor, fuse
 from totalediting.rendering import Rendering, render
 from totalediting.space import BOX_HIGH, BOX_LOW
-from totalediting.superresolution import Background, SuperResolution, over
+from totalediting.superresolution import Background, SuperResolution, fine_structure, over
 from totalediting.surface_field import surface_field
 from totalediting.triplanes import TriplaneEncoder
 from totalediting.volume import resize_intrinsics
@@ -195,7 +195,12 @@ class TotalEditing(nn.Module):
         light = rendering.colour
         foreground = phong.display(light) if preset.colour == "linear" else light
         raw, features = over(foreground, rendering.features, rendering.opacity, background)
-        return Edit(self.superresolution(raw, features), raw, foreground, rendering, planes)
+        image = self.superresolution(raw, features)
+        seen = rendering.canonical, rendering.opacity
+        image = image * fine_structure(planes.laid, *seen, image.shape[-1])
+        if not self.training:
+            image = image.clamp(0, 1)
+        return Edit(image, raw, foreground, rendering, planes)
 
     def deformation(self, control: Control) -> Table:
         """T and R of posed busts (B, V, 3), as a table over the rendered box."""

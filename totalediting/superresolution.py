@@ -1,5 +1,7 @@
 """From the volume-rendered picture to the final one, and what lies behind the subject.
 
+What is finer than the volume-rendered picture the source may show: `fine_structure`.
+
 Symbols: B batch, S = preset.image, h = preset.neural, F = preset.features. Pictures are
 display-referred RGB in [0, 1]; features are any numbers, as the shading decoder gives them.
 
@@ -18,11 +20,16 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from totalediting import volume
 from totalediting.blocks import ResidualBlock, conv
+from totalediting.frontal import colour_of
 from totalediting.presets import Preset
+from totalediting.space import on_planes
 
 SLOPE = 0.2
 """Of leaky ReLU below 0, as in StyleGAN."""
+_LEAST, _MOST = 0.5, 1.6  # factors of fine structure
+_DARK = 0.05  # of colours that it is the ratio of
 
 
 class SuperResolution(nn.Module):
@@ -55,6 +62,33 @@ class SuperResolution(nn.Module):
         x, picture = self.first(torch.cat([raw, features], 1), raw)
         _, picture = self.second(x, picture)
         return picture if self.training else picture.clamp(0.0, 1.0)
+
+
+@torch.no_grad()
+def fine_structure(laid: Tensor, canonical: Tensor, opacity: Tensor, size: int) -> Tensor:
+    """Factors (B, 3, size, size) by which the source's fine structure changes a picture.
+
+    What is seen in each pixel of a volume-rendered picture is known, so that of a larger picture
+    the source's colour there can be looked up. Its ratio to its surroundings, two pixels of the
+    rendered picture on, is what the rendered one cannot hold; where nothing is seen it is 1. Ours:
+    deferred texture look-ups (Thies et al. 2019) of a texture that is not learnt. No gradient.
+
+    Args:
+        laid: (B, LAID, S, S), see `frontal.both_sides`.
+        canonical, opacity: (B, 3, h, h) and (B, 1, h, h) of a `Rendering`.
+        size: side of the result, a multiple of h.
+    """
+    scale = size // canonical.shape[-1]
+    seen = canonical.float() / opacity.float().clamp_min(0.05)
+    seen, opaque = (
+        functional.interpolate(a, (size, size), mode="bilinear") for a in (seen, opacity.float())
+    )
+    places = on_planes(seen.flatten(2).mT)[..., 0::2]
+    colour = colour_of(volume.plane(laid.float(), places)).mT.view_as(seen)
+    padded = functional.pad(colour, (scale,) * 4, mode="replicate")
+    around = functional.avg_pool2d(padded, 2 * scale + 1, 1)
+    factor = ((colour + _DARK) / (around + _DARK)).clamp(_LEAST, _MOST)
+    return torch.lerp(torch.ones_like(factor), factor, opaque)
 
 
 class Background(nn.Module):
