@@ -69,9 +69,10 @@ def fine_structure(laid: Tensor, canonical: Tensor, opacity: Tensor, size: int) 
     """Factors (B, 3, size, size) by which the source's fine structure changes a picture.
 
     What is seen in each pixel of a volume-rendered picture is known, so that of a larger picture
-    the source's colour there can be looked up. Its ratio to its surroundings, two pixels of the
-    rendered picture on, is what the rendered one cannot hold; where nothing is seen it is 1. Ours:
-    deferred texture look-ups (Thies et al. 2019) of a texture that is not learnt. No gradient.
+    the source's colour there can be looked up. Its ratio to its surroundings, a pixel of the
+    rendered picture to each side, is what the rendered one cannot hold; where nothing is seen it is
+    1. Ours: deferred texture look-ups (Thies et al. 2019) of a texture that is not learnt. No
+    gradient.
 
     Args:
         laid: (B, LAID, S, S), see `frontal.both_sides`.
