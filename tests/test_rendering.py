@@ -155,9 +155,8 @@ def test_the_box_fills_the_planes_which_are_finest_at_the_face() -> None:
     texel = on_planes(f32([0, -0.09, 0], [2e-3, -0.088, 2e-3])).diff(dim=0) / 2e-3
     assert (texel > 2 * 2 / 0.6).all()  # twice as fine as planes that are so everywhere
     x = on_planes(f32([0.03, 0, 0], [-0.03, 0, 0]))[:, 0]
-    torch.testing.assert_close(
-        x[0], -x[1]
-    )  # the mirror image of a picture on them is that of the face
+    # The mirror image of a picture on them is that of the face.
+    torch.testing.assert_close(x[0], -x[1])
 
 
 def test_a_surface_shows_what_the_source_shows_there() -> None:

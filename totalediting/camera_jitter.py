@@ -52,7 +52,8 @@ def jittered_light(
     cosine, sine, zero = roll.cos(), roll.sin(), torch.zeros_like(roll)
     rows = [cosine, -sine, zero, sine, cosine, zero, zero, zero, zero + 1]
     old = torch.stack(rows, -1).unflatten(-1, (3, 3))  # from the new camera's axes
-    image, normal, alpha = (_resampled(a, roll, log_scale) for a in (image, normal, alpha))
+    whole = _resampled(torch.cat([image, normal, alpha], 1), roll, log_scale)
+    image, normal, alpha = whole.split([3, 3, 1], 1)
     normal = (old.mT @ normal.flatten(2)).view_as(normal)
     return image, normal, alpha, rotate(lightmaps, old)
 

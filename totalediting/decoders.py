@@ -4,17 +4,18 @@ Symbols: B batch, N points, C = preset.plane_channels, L = frontal.LAID, h rows 
 features of the geometry's tri-plane (B, N, C), i how far points are inside the skin, t_shd features
 of the shading's tri-plane and of the source laid onto the bust (B, N, C + L). Vectors are unit and
 in model space (metres, Z up), posed unless called canonical: normal n, view v (from the point to
-the viewer), r = v reflected at n. Lightmaps
-have a frame of their own, into which `to_light` takes model space. Light, colour and shadings are
-linear Rec.709, or display-referred where `preset.colour` is "srgb".
+the viewer), r = v reflected at n. Lightmaps have a frame of their own, into which `to_light` takes
+model space. Light, colour and shadings are linear Rec.709, or display-referred where
+`preset.colour` is "srgb".
 
-    sigma = D_geo([t_geo, i])                   n^c, a - source, w = D_f(t_shd)
+    sigma = D_geo([t_geo, i])                   n^c, a', w = D_f(t_shd)
+    a = sigmoid(logit(source) + a')
     k_d = D_d([t_shd, n])                       k_s(e) = D_s([t_shd, r])
     delta = D_delta([a, s_d, s_s(e) ...])
     c = k_d a * s_d + sum_e k_s(e) s_s(e) + delta                (paper, section 3.3, eq. render)
 
-The albedo is what D_f adds to the colour that the source shows there, in logits: light and shadow
-are taken off it. Hidden layers are Softplus, as in EG3D (Chan et al. 2022). First and last layers
+The source is the colour that I_app shows at the point: the albedo starts there, and D_f takes light
+and shadow off it. Hidden layers are Softplus, as in EG3D (Chan et al. 2022). First and last layers
 are drawn so that a fresh network is the bust in a translucent fog (`FRESH`), with the source's
 colour, k_d = 1, small k_s and no residual. These networks are small and must become steep, so they
 learn at `PACE` times the rate of the others.
@@ -137,8 +138,8 @@ class ShadingDecoder(nn.Module):
             ValueError: a shape does not fit.
         """
         _check(features, view, lightmaps, to_light)
-        direction, more, w = self.surface(features).tensor_split((3, 6), -1)
-        albedo = torch.sigmoid(torch.logit(_source(features)) + more)
+        direction, added, w = self.surface(features).tensor_split((3, 6), -1)
+        albedo = torch.sigmoid(torch.logit(_source(features)) + added)
         canonical = functional.normalize(direction, dim=-1)
         normal = to_posed(canonical)
         reflected = reflect(view, normal)
@@ -185,12 +186,12 @@ class PlainDecoder(nn.Module):
     ) -> Shading:
         """As `ShadingDecoder.forward`; of view, lightmaps and to_light only the shapes count."""
         _check(features, view, lightmaps, to_light)
-        direction, more, w = self.surface(features).tensor_split((3, 6), -1)
+        direction, added, w = self.surface(features).tensor_split((3, 6), -1)
         canonical, source = functional.normalize(direction, dim=-1), _source(features)
         if self.linear:
-            colour = functional.softplus(source.expm1().log() + more)
+            colour = functional.softplus(source.expm1().log() + added)
         else:
-            colour = torch.sigmoid(torch.logit(display(source)) + more)
+            colour = torch.sigmoid(torch.logit(display(source)) + added)
         zero = torch.zeros_like(colour)
         k_s = zero.new_zeros(*zero.shape[:-1], len(SHININESS))
         return Shading(

@@ -21,14 +21,15 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from totalediting import volume
 from totalediting.field import Control
 from totalediting.relief import GRID, fill, relief_of, texels_of
 from totalediting.space import off_planes, on_planes
 
-CHANNELS = 6
+_SHOWN, _RELIEF = 4, 2  # channels: colour and how squarely it is seen; front and back
+CHANNELS = _SHOWN + _RELIEF
 """Colour, how squarely the camera sees the skin, and its relief."""
-_SEEN = 4  # of them that the source shows
-LAID = CHANNELS + _SEEN
+LAID = 2 * _SHOWN + _RELIEF
 """Channels of `both_sides`."""
 
 _BEHIND = 0.06  # places behind the front, 8 mm, from where on skin is within a mouth or a socket
@@ -67,24 +68,24 @@ def frontalise(
 def both_sides(frontal: Tensor) -> Tensor:
     """(B, 10, S, S) in [-1, 1]: what a picture (B, 6, S, S) of `frontalise` shows, its mirror
     image, which shows what the pose hides, and the relief."""
-    seen, relief = (2 * frontal - 1).split([_SEEN, CHANNELS - _SEEN], 1)
+    seen, relief = (2 * frontal - 1).split([_SHOWN, _RELIEF], 1)
     return torch.cat([seen, seen.flip(-1), relief], 1)
 
 
 def colour_of(laid: Tensor) -> Tensor:
     """(..., 3) display-referred colour in [0, 1] that `laid` (..., LAID), channels of `both_sides`,
     shows: of the two sides, by the square of how squarely the camera sees them."""
-    one, other = ((laid[..., k : k + _SEEN] + 1) / 2 for k in (0, _SEEN))
+    one, other = ((laid[..., k : k + _SHOWN] + 1) / 2 for k in (0, _SHOWN))
     weights = [part[..., 3:].square() + _EITHER for part in (one, other)]
     total = weights[0] * one[..., :3] + weights[1] * other[..., :3]
     return total / (weights[0] + weights[1])
 
 
-def inside(laid: Tensor, place: Tensor) -> Tensor:
-    """How far (...) points whose place along Y on the planes is `place` (...) are behind the front
-    and before the back of the skin, in places; below 0 outside. `laid` (..., LAID) is there."""
-    front, back = laid[..., 2 * _SEEN :].unbind(-1)
-    return torch.minimum(place - front, back - place)
+def inside(laid: Tensor, places: Tensor) -> Tensor:
+    """How far (B, P) points at `places` (B, P, 3) are behind the front and before the back of the
+    skin along Y, in places; below 0 outside. `laid` (B, LAID, S, S) is of `both_sides`."""
+    front, back = volume.plane(laid[:, -_RELIEF:], places[..., 0::2]).unbind(-1)
+    return torch.minimum(places[..., 1] - front, back - places[..., 1])
 
 
 def _lay(image: Tensor, control: Control, camera_to_world: Tensor, intrinsics: Tensor) -> Tensor:
@@ -94,7 +95,6 @@ def _lay(image: Tensor, control: Control, camera_to_world: Tensor, intrinsics: T
     facing = (control.posed_normals * functional.normalize(to_camera, dim=-1)).sum(-1)
 
     places = on_planes(control.canonical)
-    at = places[..., 0::2]
     texel = texels_of(places)
     relief = relief_of(places, control.canonical_normals, texel)
     behind = places[..., 1] - relief[:, 0].flatten(1).gather(1, texel)
@@ -102,7 +102,7 @@ def _lay(image: Tensor, control: Control, camera_to_world: Tensor, intrinsics: T
     weight = (front * (places.abs() < 1).all(-1) * (behind < _BEHIND))[..., None]
 
     # What an affine motion explains goes on beyond the skin; the rest fades into its surroundings.
-    basis = torch.cat([control.canonical[..., 0::2], torch.ones_like(at[..., :1])], -1)
+    basis = torch.cat([control.canonical[..., 0::2], torch.ones_like(weight)], -1)
     gram = (weight * basis).mT @ basis + 1e-6 * torch.eye(3).to(basis)
     affine = torch.linalg.solve(gram, (weight * basis).mT @ place)
     known = torch.cat([place - basis @ affine, facing.clamp(0, 1)[..., None]], -1)

@@ -27,7 +27,7 @@ from totalediting.frontal import both_sides
 from totalediting.presets import Preset
 from totalediting.reenactment import Deenactor, Reenactor, fuse
 from totalediting.rendering import Rendering, render
-from totalediting.space import BOX_HIGH, BOX_LOW
+from totalediting.space import box
 from totalediting.superresolution import Background, SuperResolution, fine_structure, over
 from totalediting.surface_field import surface_field
 from totalediting.triplanes import TriplaneEncoder
@@ -196,8 +196,8 @@ class TotalEditing(nn.Module):
         foreground = phong.display(light) if preset.colour == "linear" else light
         raw, features = over(foreground, rendering.features, rendering.opacity, background)
         image = self.superresolution(raw, features)
-        seen = rendering.canonical, rendering.opacity
-        image = image * fine_structure(planes.laid, *seen, image.shape[-1])
+        size = image.shape[-1]
+        image = image * fine_structure(planes.laid, rendering.canonical, rendering.opacity, size)
         if not self.training:
             image = image.clamp(0, 1)
         return Edit(image, raw, foreground, rendering, planes)
@@ -218,6 +218,6 @@ class TotalEditing(nn.Module):
                 return moved
             return Field(moved.position, one(preset.rotation, points).quaternion)
 
-        low, high = (control.posed.new_tensor(corner) for corner in (BOX_LOW, BOX_HIGH))
+        low, high = box(control.posed)
         with torch.autocast(low.device.type, enabled=False):
             return tabulate(field, low, high, preset.field, lead=control.posed.shape[:-2])

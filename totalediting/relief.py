@@ -11,7 +11,7 @@ from torch.nn import functional
 
 GRID = 64
 """Texels along a side that control points are gathered in: they lie about as densely."""
-_CLOSED = {-1.0: 3, 1.0: 9}  # texels: what is closed of the front (towards -Y) and of the back
+_CLOSING = {-1.0: 3, 1.0: 9}  # texels, by side along Y: pits so wide are closed, front and back
 _NOTHING = -2.0  # height of the skin where there is none
 _TRUST = 0.2  # control points that a texel's coarser surroundings count as
 
@@ -27,13 +27,13 @@ def relief_of(places: Tensor, normals: Tensor, texel: Tensor) -> Tensor:
     """Places (B, 2, n, n) along Y of the foremost and the hindmost skin in a texel; control points
     at `places` (B, V, 3) with `normals` lie in the one of number `texel` (B, V)."""
     sides = []
-    for towards, reach in _CLOSED.items():
+    for towards, pit in _CLOSING.items():
         counts = (places.abs() < 1).all(-1) & (towards * normals[..., 1] > 0)
         height = torch.where(counts, towards * places[..., 1], _NOTHING)
         found = torch.full_like(height[:, :1], _NOTHING).repeat(1, GRID**2)
         found = found.scatter_reduce(1, texel, height, "amax").unflatten(-1, (1, GRID, GRID))
         # Points are sparser than texels, and some lie within mouth and eye sockets.
-        closed = _close(found, reach)
+        closed = _close(found, pit)
         known = (closed > _NOTHING).float()
         filled = fill(torch.cat([known, known * closed], 1))
         skin = _close(known, 5)

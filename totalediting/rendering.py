@@ -22,7 +22,7 @@ from totalediting.decoders import Decoders, Shading, ToPosed
 from totalediting.field import Field
 from totalediting.frontal import inside
 from totalediting.presets import Preset
-from totalediting.space import BOX_HIGH, BOX_LOW, on_planes
+from totalediting.space import box, on_planes
 
 NORMAL_STEP = 2e-3
 """Metres on either side of a point between which the density's gradient is measured: about a texel
@@ -127,7 +127,7 @@ def render(
         origin, direction = volume.rays(camera_to_world, _full(intrinsics), side, side)
         directions = direction.flatten(1, 2)
         origins = origin.flatten(1, 2).expand_as(directions)
-        near, far, _ = volume.box_interval(origins, directions, *_box(directions))
+        near, far, _ = volume.box_interval(origins, directions, *box(directions))
 
         # All random numbers are drawn for all rays at once, so that chunks do not change them.
         with torch.no_grad():
@@ -182,9 +182,7 @@ def density(planes: Tensor, laid: Tensor, geometry: Geometry, points: Tensor) ->
     `laid` on them. Single precision, also under autocast."""
     with torch.autocast(planes.device.type, enabled=False):
         places = on_planes(_full(points))
-        shown = volume.plane(_full(laid), places[..., 0::2])
-        features = volume.triplane(_full(planes), places)
-        return geometry(features, inside(shown, places[..., 1]))
+        return geometry(volume.triplane(_full(planes), places), inside(_full(laid), places))
 
 
 def density_normals(planes: Tensor, laid: Tensor, geometry: Geometry, points: Tensor) -> Tensor:
@@ -218,7 +216,7 @@ def density_jitter(
     Their mean absolute difference is EG3D's total variation. Points are uniformly distributed, the
     jitter is normal with `JITTER`; `generator` is on the device of the planes.
     """
-    low, high = _box(_full(planes))
+    low, high = box(_full(planes))
     size = (len(planes), count, 3)
     place = torch.rand(size, generator=generator, dtype=low.dtype, device=low.device)
     shift = torch.randn(size, generator=generator, dtype=low.dtype, device=low.device)
@@ -327,10 +325,6 @@ def _integrate(subject: _Subject, rays: _Rays) -> _Integrals:
 
 def _unturned(directions: Tensor) -> Tensor:
     return directions
-
-
-def _box(like: Tensor) -> tuple[Tensor, Tensor]:
-    return like.new_tensor(BOX_LOW), like.new_tensor(BOX_HIGH)
 
 
 def _full(tensor: Tensor) -> Tensor:

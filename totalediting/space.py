@@ -19,6 +19,11 @@ REACH = 0.05
 """Metres from there within which planes are about equally fine."""
 
 
+def box(like: Tensor) -> tuple[Tensor, Tensor]:
+    """Lowest and highest corner (3,), of the dtype and on the device of a tensor."""
+    return like.new_tensor(BOX_LOW), like.new_tensor(BOX_HIGH)
+
+
 def on_planes(points: Tensor) -> Tensor:
     """Where canonical `points` (..., 3) lie on planes (..., 3): the box spans [-1, 1] each way."""
     focus, low, high = _ends(points)
@@ -33,5 +38,5 @@ def off_planes(places: Tensor) -> Tensor:
 
 def _ends(like: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """The focus, and how far the ends of the box are from it once distances are shrunk."""
-    focus, low, high = (like.new_tensor(corner) for corner in (FOCUS, BOX_LOW, BOX_HIGH))
+    focus, (low, high) = like.new_tensor(FOCUS), box(like)
     return focus, ((low - focus) / REACH).asinh(), ((high - focus) / REACH).asinh()
