@@ -90,11 +90,22 @@ def test_gradients_reach_every_parameter(estimator, image) -> None:
         assert parameter.grad is not None and parameter.grad.abs().max() > 0, name
 
 
-def test_light_does_not_hang_on_the_normal_decoder(estimator, image) -> None:
-    """After pre-training it is detached: no gradient of light may need it."""
+def test_no_gradient_of_light_reaches_the_normal_decoder(estimator, image) -> None:
+    """It learns from true normals alone, and stands still after pre-training."""
     estimator.lightmaps(image).mean().backward()
     assert all(p.grad is None for p in estimator.to_normal.parameters())
-    assert all(p.grad is None for p in estimator.up.parameters())
+
+
+def test_a_token_faces_where_its_patch_does(estimator) -> None:
+    """What E_face is told of a normal is the lobe of a light from there, on a scale of mean 1."""
+    normal = torch.zeros(1, 3, 64, 64)
+    normal[:, 2, :, :32] = 1
+    normal[:, 0, :, 32:] = -1
+    facing = estimator._facing(normal)[0]
+    towards = estimator.light[facing[[0, 15], :-1].argmax(-1)]
+    assert (towards * torch.tensor([[0, 0, 1.0], [-1, 0, 0]])).sum(-1).min() > 0.97
+    assert facing[:, :-1].mean().item() == pytest.approx(1, abs=0.02)
+    assert torch.equal(facing[:, -1], torch.ones(256))
 
 
 def test_normals_are_unit_and_light_is_not_negative(estimator, image) -> None:

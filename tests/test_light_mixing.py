@@ -24,20 +24,20 @@ def test_a_mixture_is_the_sum_in_linear_light(small_dataset: Path):
     light = Light((0, 1), factors)
     linear = [undisplay(picture(stored[f"rgb_{k:02d}"], 24)) for k in range(2)]
     summed = sum(f[:, None, None] * p for f, p in zip(factors, linear, strict=True))
-    assert torch.allclose(light.picture(stored, 24), display(summed), atol=1e-6)
+    pictures = [picture(stored[name], 24) for name in light.members()]
+    assert torch.allclose(light.picture(pictures), display(summed), atol=1e-6)
     maps = [shots.lightmaps(stored["meta"], k, 8) for k in range(2)]
     wanted = sum(f[:, None, None] * m for f, m in zip(factors, maps, strict=True))
-    assert torch.allclose(light.lightmaps(shots, stored["meta"], 8), wanted)
+    assert torch.allclose(light.lightmaps(maps), wanted)
 
 
 def test_one_environment_is_left_as_it_was_rendered(small_dataset: Path):
     shots = Shots(small_dataset, "train")
     stored = shots.read(0, "rgb_01", "meta")
+    shown, maps = picture(stored["rgb_01"], 24), shots.lightmaps(stored["meta"], 1, 8)
     light = Light((1,), (torch.ones(3),))
-    assert torch.equal(light.picture(stored, 24), picture(stored["rgb_01"], 24))
-    assert torch.equal(
-        light.lightmaps(shots, stored["meta"], 8), shots.lightmaps(stored["meta"], 1, 8)
-    )
+    assert torch.equal(light.picture([shown]), shown)
+    assert torch.equal(light.lightmaps([maps]), maps)
 
 
 def test_draws_mix_half_of_the_time_and_keep_brightness_within_reason():

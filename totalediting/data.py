@@ -10,7 +10,7 @@ video subset two moments.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -159,11 +159,14 @@ class PortraitPairs(Numbered[Sample]):
         stored = self.shots.read(position, *light.members(), "geometry", "meta")
         origin = head_centre(stored["geometry"]["landmarks_canonical"])
         return _Source(
-            light.picture(stored, self.side),
+            self._picture(light, stored),
             shots.motion_code(stored["meta"]),
             shots.control(stored["geometry"], origin),
             *shots.camera(stored["meta"], origin, self.side),
         )
+
+    def _picture(self, light: Light, stored: dict[str, Any]) -> Tensor:
+        return light.picture([shots.picture(stored[name], self.side) for name in light.members()])
 
     def _sample(self, item: int, light: Light, another: int, other: int, source: _Source) -> Sample:
         rgb, rgb_relit = light.members(), f"rgb_{another:02d}"
@@ -186,7 +189,7 @@ class PortraitPairs(Numbered[Sample]):
         return Sample(
             app_image=source.image,
             app_frontal=source.frontal(control),
-            mot_image=light.picture(stored, side),
+            mot_image=self._picture(light, stored),
             albedo=shots.albedo(stored["albedo"], side),
             normal=(camera_to_world[:3, :3] @ normal.flatten(1)).view_as(normal),
             alpha=shots.alpha(stored["alpha"], side),
@@ -199,7 +202,9 @@ class PortraitPairs(Numbered[Sample]):
             camera_to_world=camera_to_world,
             intrinsics=intrinsics,
             control=control,
-            lightmaps=light.lightmaps(self.shots, meta, self.rows),
+            lightmaps=light.lightmaps(
+                [self.shots.lightmaps(meta, e, self.rows) for e in light.environments]
+            ),
             relit=relit,
             key=self.keys[item],
             app_key=self.keys[other],

@@ -11,7 +11,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import math
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -56,9 +56,7 @@ def baked(path: Path) -> Tensor:
     """
     if not path.is_file():
         raise panorama.PanoramaError(f"{path}: no such panorama; restore it")
-    with path.open("rb") as file:
-        digest = hashlib.file_digest(file, "sha256").hexdigest()
-    kept = cache_folder() / "lightmaps" / f"{digest}-{ROWS}-v{_FORMAT}.npy"
+    kept = cache_folder() / "lightmaps" / f"{_digest(path)}-{ROWS}-v{_FORMAT}.npy"
     # A file that is missing, foreign or damaged is made again.
     with contextlib.suppress(OSError, ValueError):
         maps = np.load(kept, allow_pickle=False)
@@ -70,3 +68,9 @@ def baked(path: Path) -> Tensor:
         with panorama.replacing(kept) as temporary, temporary.open("wb") as file:
             np.save(file, maps.numpy())
     return maps
+
+
+@cache
+def _digest(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -1,8 +1,12 @@
 """The lightmap estimator: from a portrait to the light that falls on it (paper, section 3.4).
 
-    picture -- E_lit (U-Net) --> tokens z_lit --------+
-                          +----> normals N (E_nor)    |
+    picture -- E_lit (U-Net) --> tokens z_lit ------------------+
+                          +----> normals N (E_nor) -- E_face ---+
     lobes max(0, d.l)^e -- E_lobe --> queries z(e, d) -- D_lit --> lightmaps S
+
+Every token knows which way the surface faces that it is of: E_face embeds its normal n as E_lobe
+embeds a direction, by max(0, n.l) over the same light directions l, so that the query for light
+from d finds what faces d. No gradient of light reaches the normals.
 
 Symbols: B batch, S side of a picture, H rows of a lightmap, L light directions, D width, K tokens,
 Q queries. A query is one texel of one lobe: its direction d, its exponent e. As diffuse light and
@@ -35,6 +39,8 @@ from totalediting.blocks import (
 )
 from totalediting.presets import Preset
 
+_PATCH = 8  # pixels along a side that a token is of
+
 
 class Illumination(NamedTuple):
     """What a picture says of its light: `code` (B, Q, 3) log(1 + light), `normal` (B, 3, s, s)."""
@@ -46,6 +52,7 @@ class Illumination(NamedTuple):
 class LightmapEstimator(nn.Module):
     """E_lit, E_nor, E_lobe and D_lit."""
 
+    coarse_position: Tensor
     position: Tensor
     directions: Tensor
     light: Tensor
@@ -53,19 +60,22 @@ class LightmapEstimator(nn.Module):
     def __init__(self, preset: Preset) -> None:
         super().__init__()
         dim, self.height = preset.lobe_dim, preset.lightmap_height
-        self.side = preset.image // 2
-        # E_lit: patches of 4, then two halvings of the grid.
+        self.side = preset.image
+        # E_lit: patches of 8, a halving of the grid, and back up.
         self.stem = nn.Sequential(
-            nn.PixelUnshuffle(4), conv(3 * 16, dim // 2, 1), norm(dim // 2), nn.ReLU()
+            nn.PixelUnshuffle(_PATCH), conv(3 * _PATCH**2, dim // 2, 1), norm(dim // 2), nn.ReLU()
         )
         self.fine = nn.Sequential(*[ResidualBlock(dim // 2, dim // 2) for _ in range(2)])
         self.down = ResidualBlock(dim // 2, dim, stride=2)
-        tokens = self.side // 8
-        self.register_buffer("position", position_grid(tokens, dim), persistent=False)
+        grid = self.side // _PATCH
+        self.register_buffer("coarse_position", position_grid(grid // 2, dim), persistent=False)
         self.bottleneck = TransformerBlock(dim, preset.heads)
-        # E_nor: back up beside what the encoder saw.
         self.up = ResidualBlock(dim + dim // 2, dim // 2)
-        self.to_normal = conv(dim // 2, 3 * 16, 1)
+        self.token = nn.Linear(dim // 2, dim)
+        self.register_buffer("position", position_grid(grid, dim), persistent=False)
+        # E_nor and E_face.
+        self.to_normal = conv(dim // 2, 3 * (_PATCH // 2) ** 2, 1)
+        self.face = nn.Linear(preset.light_directions + 1, dim)
         # E_lobe and D_lit.
         self.lobe = nn.Linear(preset.light_directions, dim)
         self.decoder = nn.ModuleList(
@@ -95,27 +105,33 @@ class LightmapEstimator(nn.Module):
 
     def lightmaps(self, image: Tensor) -> Tensor:
         """Lightmaps (B, 5, 3, H, 2H), linear, of pictures (B, 3, S, S)."""
-        tokens, _ = self.encode(image, normals=False)
+        tokens, _ = self.encode(image)
         return unfold(lightmaps.decode(self.decode(tokens)), self.height)
 
-    def encode(self, image: Tensor, normals: bool = True) -> tuple[Tensor, Tensor]:
-        """z_lit (B, K, D), and normals (B, 3, S / 2, S / 2), zero where they are not wanted.
+    def encode(self, image: Tensor) -> tuple[Tensor, Tensor]:
+        """z_lit (B, K, D) and normals (B, 3, S / 2, S / 2).
 
         Raises:
             ValueError: the pictures are not (B, 3, S, S).
         """
-        if image.ndim != 4 or image.shape[1:] != (3, 2 * self.side, 2 * self.side):
-            side = 2 * self.side
-            raise ValueError(f"image must be (B, 3, {side}, {side}), got {tuple(image.shape)}")
-        small = functional.avg_pool2d(image, 2) * 2 - 1
-        fine = self.fine(self.stem(small))
-        coarse = to_tokens(self.down(fine)) + self.position
-        tokens = self.bottleneck(coarse)
-        if not normals:
-            return tokens, torch.zeros_like(small)
-        grid = functional.interpolate(to_grid(tokens), scale_factor=2.0, mode="bilinear")
-        rough = self.to_normal(self.up(torch.cat([grid, fine], 1)))
-        return tokens, functional.normalize(functional.pixel_shuffle(rough, 4), dim=1)
+        if image.ndim != 4 or image.shape[1:] != (3, self.side, self.side):
+            raise ValueError(
+                f"image must be (B, 3, {self.side}, {self.side}), got {tuple(image.shape)}"
+            )
+        fine = self.fine(self.stem(2 * image - 1))
+        coarse = self.bottleneck(to_tokens(self.down(fine)) + self.coarse_position)
+        grid = functional.interpolate(to_grid(coarse), scale_factor=2.0, mode="bilinear")
+        seen = self.up(torch.cat([grid, fine], 1))
+        rough = functional.pixel_shuffle(self.to_normal(seen), _PATCH // 2)
+        normal = functional.normalize(rough.float(), dim=1)
+        return self.token(to_tokens(seen)) + self.position + self.face(self._facing(normal)), normal
+
+    def _facing(self, normal: Tensor) -> Tensor:
+        """(B, K, L + 1) lobes of the mean normal of a token's patch, and how flat the patch is."""
+        mean = to_tokens(functional.avg_pool2d(normal.detach(), _PATCH // 2))
+        flat = mean.norm(dim=-1, keepdim=True)
+        lobes = (mean / flat.clamp_min(1e-3) @ self.light.T).clamp_min(0)
+        return torch.cat([4 * lobes, flat], -1)  # their mean is 1, as that of `lobes`
 
     def decode(self, tokens: Tensor, texels: Tensor | None = None) -> Tensor:
         """D_lit: log(1 + light) (B, Q, 3) at queries, from tokens (B, K, D)."""

@@ -89,8 +89,7 @@ class Joint(nn.Module):
         self.model = TotalEditing(preset, faces)
         self.estimator = LightmapEstimator(preset)
         self.discriminator = Discriminator(preset)
-        for part in (self.estimator.up, self.estimator.to_normal):
-            part.requires_grad_(False)
+        self.estimator.to_normal.requires_grad_(False)
 
     def forward(self, batch: Sample | ClipPair, step: int) -> Loss:
         assert self.objective is not None  # only training calls this

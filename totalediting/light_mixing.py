@@ -7,15 +7,14 @@ is lost. Factors are of linear light; pictures are display-referred.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from totalediting import shots
 from totalediting.phong import display, undisplay
-from totalediting.shots import Shots
 
 _MIXED = 0.5  # share of the draws that mix
 _TINT, _BRIGHTNESS = 0.12, 0.25  # standard deviations of a mixture's log factors
@@ -31,21 +30,17 @@ class Light(NamedTuple):
         """Names of the shot's pictures that it takes."""
         return tuple(f"rgb_{environment:02d}" for environment in self.environments)
 
-    def picture(self, stored: dict[str, Any], side: int) -> Tensor:
-        """The shot in this light, (3, side, side) in [0, 1], from its stored pictures."""
-        pictures = [shots.picture(stored[name], side) for name in self.members()]
+    def picture(self, pictures: Sequence[Tensor]) -> Tensor:
+        """The shot in this light, (3, S, S) in [0, 1], from its pictures in `environments`."""
         if self.is_one():
             return pictures[0]
         parts = zip(pictures, self.factors, strict=True)
         return display(torch.stack([undisplay(p) * f[:, None, None] for p, f in parts]).sum(0))
 
-    def lightmaps(
-        self, of: Shots, meta: dict[str, Any], height: int, frame: Tensor | None = None
-    ) -> Tensor:
-        """Its exposed lightmaps (5, 3, height, 2 height), see `Shots.lightmaps`."""
-        parts = zip(self.environments, self.factors, strict=True)
-        maps = [of.lightmaps(meta, e, height, frame) * f[:, None, None] for e, f in parts]
-        return torch.stack(maps).sum(0)
+    def lightmaps(self, maps: Sequence[Tensor]) -> Tensor:
+        """Its exposed lightmaps (5, 3, h, 2h) from those of `environments`."""
+        parts = zip(maps, self.factors, strict=True)
+        return torch.stack([m * f[:, None, None] for m, f in parts]).sum(0)
 
     def is_one(self) -> bool:
         """Whether it is one environment as it was rendered."""

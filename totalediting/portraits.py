@@ -10,6 +10,7 @@ angles that turn to the left turn to the right.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,6 +29,8 @@ from totalediting.numbered import Numbered, Unreadable
 from totalediting.presets import Preset
 from totalediting.shots import Shots
 from totalediting.tracked import reframed
+
+_ROOM = 1 << 29  # bytes of decoded shots that a process keeps
 
 
 class Portrait(NamedTuple):
@@ -73,39 +76,71 @@ class Portraits(Numbered[Portrait]):
         self.side, self.rows = preset.image, preset.lightmap_height
         self.mirror, self.mix = mirror, mix
         self.basis = identity_basis()
-        self._truths: dict[int, Tracking] = {}
+        self._kept: dict[tuple[int, int | None], tuple[Tensor, ...]] = {}
+        self._room = _ROOM
 
     def make(self, item: int, rng: np.random.Generator) -> Portrait:
         """Shot number `item` under a random environment; raises `Unreadable`."""
         light = draw_light(rng, self.shots.environments(item), self.mix)
-        turn, side = self.mirror and bool(rng.random() < 0.5), self.side
+        turn = self.mirror and bool(rng.random() < 0.5)
         try:
-            stored = self.shots.read(item, *light.members(), "normal", "alpha", "parts", "meta")
-            meta, parts = stored["meta"], stored["parts"]
-            frame = torch.tensor(meta["camera"]["camera_to_world"])[:3, :3]
-            portrait = Portrait(
-                image=light.picture(stored, side),
-                lightmaps=light.lightmaps(self.shots, meta, self.rows, frame),
-                normal=shots.normals(stored["normal"], parts, side),
-                alpha=shots.alpha(stored["alpha"], side),
-                parts=shots.parts(parts, side),
-                truth=self._truth(item, meta),
-                key=self.keys[item],
-            )
+            lit = [
+                self._keep((item, e), lambda e=e: self._lit(item, e)) for e in light.environments
+            ]
+            shown = self._keep((item, None), lambda: self._shown(item))
         except DAMAGE as error:
             raise Unreadable(item, reason(error)) from error
+        pictures, maps = zip(*lit, strict=True)
+        normal, alpha, parts, *truth = shown
+        portrait = Portrait(
+            image=light.picture(pictures),
+            lightmaps=light.lightmaps(maps),
+            normal=normal,
+            alpha=alpha,
+            parts=parts,
+            truth=Tracking(*truth),
+            key=self.keys[item],
+        )
         return mirrored(portrait, self.basis) if turn else portrait
 
+    def _lit(self, item: int, environment: int) -> tuple[Tensor, ...]:
+        """Picture and lightmaps of a shot in one of its environments."""
+        name = f"rgb_{environment:02d}"
+        stored = self.shots.read(item, name, "meta")
+        frame = torch.tensor(stored["meta"]["camera"]["camera_to_world"])[:3, :3]
+        maps = self.shots.lightmaps(stored["meta"], environment, self.rows, frame)
+        return shots.picture(stored[name], self.side), maps
+
+    def _shown(self, item: int) -> tuple[Tensor, ...]:
+        """Normals, alpha, parts and the fields of the truth, which all light shares."""
+        stored = self.shots.read(item, "normal", "alpha", "parts", "meta")
+        parts, side = stored["parts"], self.side
+        return (
+            shots.normals(stored["normal"], parts, side),
+            shots.alpha(stored["alpha"], side),
+            shots.parts(parts, side),
+            *self._truth(item, stored["meta"]),
+        )
+
+    def _keep(
+        self, key: tuple[int, int | None], make: Callable[[], tuple[Tensor, ...]]
+    ) -> tuple[Tensor, ...]:
+        """What `make` gives, the first time; decoding takes longer than a step on two cores."""
+        if key not in self._kept:
+            made = make()
+            self._room -= sum(tensor.nbytes for tensor in made)
+            if self._room < 0:
+                return made
+            self._kept[key] = made
+        return self._kept[key]
+
     def _truth(self, item: int, meta: dict[str, Any]) -> Tracking:
-        """What a tracker should find in a shot; found out once."""
-        if item not in self._truths:
-            identity = self.basis.coefficients(Person.model_validate(meta["person"]))
-            truth = shots.tracking(meta, identity)
-            if self.shots.moves(item):  # a video is framed by the head at rest
-                batch = reframed(Tracking(*(field[None] for field in truth)))
-                truth = Tracking(*(field[0] for field in batch))
-            self._truths[item] = truth
-        return self._truths[item]
+        """What a tracker should find in a shot."""
+        truth = shots.tracking(meta, self.basis.coefficients(Person.model_validate(meta["person"])))
+        if self.shots.moves(item):  # a video is framed by the head at rest
+            batch = reframed(Tracking(*(field[None] for field in truth)))
+            truth = Tracking(*(field[0] for field in batch))
+        return truth
 
 
 def mirrored(portrait: Portrait, basis: IdentityBasis) -> Portrait:
