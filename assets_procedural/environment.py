@@ -8,9 +8,13 @@ from __future__ import annotations
 
 import hashlib
 import importlib.util
+import os
 import re
 import zlib
 from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from itertools import islice
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -57,6 +61,7 @@ BundledName = Literal[
     "city", "courtyard", "forest", "interior", "night", "studio", "sunrise", "sunset"
 ]
 
+_AT_ONCE = min(4, os.cpu_count() or 1)  # panoramas that are made side by side
 _POLY_HAVEN = "https://polyhaven.com/a/"
 BUNDLED: dict[str, str] = {
     "city": _POLY_HAVEN + "portland_landing_pad",
@@ -172,14 +177,20 @@ def write_pool(specs: Iterable[EnvironmentSpec], folder: Path) -> list[Path]:
         PanoramaError: a user's file cannot be used.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    paths = []
-    for spec in specs:
-        path = folder / f"{spec.id}.exr"
-        header = _header(spec)
-        if not (path.is_file() and _same_header(path, header)):
-            write(path, panorama_of(spec), header)
-        paths.append(path)
+    paths, rest = [], iter(specs)
+    with ThreadPoolExecutor(_AT_ONCE) as threads:
+        # By handfuls, so that who counts the specs sees how far it is.
+        while some := list(islice(rest, _AT_ONCE)):
+            paths += threads.map(partial(_store, folder), some)
     return paths
+
+
+def _store(folder: Path, spec: EnvironmentSpec) -> Path:
+    path = folder / f"{spec.id}.exr"
+    header = _header(spec)
+    if not (path.is_file() and _same_header(path, header)):
+        write(path, panorama_of(spec), header)
+    return path
 
 
 def provenance(spec: EnvironmentSpec) -> dict[str, Any]:

@@ -23,11 +23,12 @@ def test_a_jittered_picture_is_that_of_the_camera_told() -> None:
         torch.tensor([[drawn.yaw, drawn.pitch, drawn.roll]]),
         torch.tensor([[math.log(drawn.focal_mm / FOCAL_MM)]]),
         torch.tensor([[math.log(drawn.fill / FILL)]]),
-        torch.tensor([drawn.shift]),
+        torch.tensor([drawn.shift]), torch.zeros(1, 10),
     )  # fmt: skip
     centre, points = np.array([0.0, -0.1, 1.6]), np.array([[0.05, -0.1, 1.6], [-0.03, -0.05, 1.68]])
     image = torch.zeros(1, 3, SIDE, SIDE)
     before, _ = resolve(drawn, centre, 0.25, SIDE).project(points)
+    truth.face[0, :4] = torch.from_numpy((before / SIDE - 0.5) * [1, -1]).flatten()
     for channel, (x, y) in enumerate(before):  # a soft dot for each point
         rows, columns = torch.meshgrid(*2 * [torch.arange(SIDE) + 0.5], indexing="ij")
         image[0, channel] = torch.exp(-((columns - x) ** 2 + (rows - y) ** 2) / 8)
@@ -39,6 +40,7 @@ def test_a_jittered_picture_is_that_of_the_camera_told() -> None:
         shift=(right, up),
     )  # fmt: skip
     wanted, _ = resolve(found, centre, 0.25, SIDE).project(points)
+    np.testing.assert_allclose(told.points(SIDE)[0, :2], wanted, atol=0.01)
     rows, columns = torch.meshgrid(*2 * [torch.arange(SIDE) + 0.5], indexing="ij")
     for channel, (x, y) in enumerate(wanted):
         dot = picture[0, channel] / picture[0, channel].sum()

@@ -284,8 +284,7 @@ def test_one_tracker_serves_all_presets():
 
 
 def truth(count: int) -> Tracking:
-    sizes = (52, 2, 3, motion.IDENTITY, 3, 1, 1, 2)
-    return Tracking(*(torch.zeros(count, size) for size in sizes))
+    return Tracking(*(torch.zeros(count, size) for size in motion.SIZES))
 
 
 @pytest.mark.parametrize("name", Tracking._fields)

@@ -19,7 +19,7 @@ STEPS = 1000
 
 @pytest.mark.slow
 @pytest.mark.blender
-@pytest.mark.timeout(3600)  # 16 minutes on two cores
+@pytest.mark.timeout(3600)  # 27 minutes on one core
 def test_one_person_is_learnt_by_heart(tmp_path: Path) -> None:
     """Three views in a studio's light, each from another; of two people, one is held out."""
     views = {"kind": "multiview", "subjects": 2, "environments": 1, "views": 3}

@@ -101,6 +101,7 @@ def test_mirrored_labels_are_those_of_the_mirrored_scene(basis):
         torch.zeros(1),
         torch.zeros(1),
         torch.tensor(sample.shift),
+        torch.arange(10.0),
     )
     other = portraits.mirrored_tracking(truth, basis)
     expression = dict(zip(ARKIT_NAMES, other.expression.tolist(), strict=True))

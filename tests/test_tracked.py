@@ -60,6 +60,7 @@ def tracking(coefficients: torch.Tensor, pose: Pose, shot: CameraSample = CAMERA
         log_focal=torch.tensor([math.log(shot.focal_mm / FOCAL_MM)]),
         log_fill=torch.tensor([math.log(shot.fill / FILL)]),
         shift=torch.tensor(shot.shift),
+        face=torch.zeros(10),
     )
     return Tracking(*(field.float()[None] for field in fields))
 
@@ -194,6 +195,7 @@ def test_a_video_reframed_about_the_posed_head_is_seen_by_the_same_camera() -> N
         log_focal=torch.zeros(3, 1),
         log_fill=torch.full((3, 1), 0.1),
         shift=torch.tensor([[0.02, -0.03]] * 3),
+        face=torch.zeros(3, 10),
     )
     still = drawn._replace(
         expression=torch.zeros(3, 52), gaze=torch.zeros(3, 2), head=torch.zeros(3, 3)

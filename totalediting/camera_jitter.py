@@ -28,14 +28,18 @@ def jittered(
     """
     cosine, sine, scale = roll.cos(), roll.sin(), log_scale.exp()
     zero = torch.zeros_like(roll)
-    right, up = truth.shift.unbind(-1)
-    shift = torch.stack([cosine * right + sine * up, cosine * up - sine * right], -1)
+    turn = torch.stack([cosine, sine, -sine, cosine], -1).unflatten(-1, (2, 2))
+
+    def moved(places: Tensor) -> Tensor:
+        return scale[:, None] * (places.unflatten(-1, (-1, 2)) @ turn.mT).flatten(1)
+
     more = torch.stack([zero, zero, roll], -1)
     return _resampled(image, roll, log_scale), truth._replace(
         camera_yaw_pitch_roll=truth.camera_yaw_pitch_roll + more,
         log_focal=truth.log_focal + log_scale[:, None],
         log_fill=truth.log_fill + log_scale[:, None],
-        shift=scale[:, None] * shift,
+        shift=moved(truth.shift),
+        face=moved(truth.face),
     )
 
 

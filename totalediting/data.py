@@ -20,7 +20,7 @@ from totalediting import shots
 from totalediting.field import Control
 from totalediting.frontal import frontalise
 from totalediting.light_mixing import Light, draw_light
-from totalediting.mirroring import MIRROR, PARTS, mirrored_code, mirrored_lightmaps
+from totalediting.mirroring import FACE_POINTS, MIRROR, PARTS, mirrored_code, mirrored_lightmaps
 from totalediting.numbered import Numbered, Unreadable
 from totalediting.presets import Preset
 from totalediting.shots import Shots, head_centre
@@ -229,7 +229,7 @@ def mirrored(sample: Sample) -> Sample:
         parts=PARTS[sample.parts.long()].flip(-1),
         depth=sample.depth.flip(-1),
         canonical=sample.canonical.flip(-1) * m[:, None, None],
-        points=(sample.points * m[:2] + side * (1 - m[:2]) / 2)[[1, 0, 2, 4, 3]],
+        points=(sample.points * m[:2] + side * (1 - m[:2]) / 2)[FACE_POINTS],
         app_code=mirrored_code(sample.app_code),
         mot_code=mirrored_code(sample.mot_code),
         camera_to_world=plane @ sample.camera_to_world @ plane,

@@ -162,7 +162,7 @@ class JointStage(Pairs):
         return self._real(batch, step)
 
     def _real(self, batch: ClipPair, step: int) -> Loss:
-        """L_1, L_LPIPS, L_seg and L_n where a clip has mattes and normals, and L_reg."""
+        """L_1, L_LPIPS, L_id, L_seg and L_n where a clip has mattes and normals, and L_reg."""
         assert self.real is not None
         joint, factors, real = self.network, self.weights.at(step), self.real
         image, side = batch.mot_image, batch.mot_image.shape[-1]
@@ -195,9 +195,11 @@ class JointStage(Pairs):
         if real.light == "consistent":
             other = joint.estimator(batch.light_image).code
             found["lightmap"] = losses.lightmap_loss(code, other, self.texels.to(code.device))
+        matte = batch.alpha
         if self.lpips is not None:
-            matte = batch.alpha
             found["lpips"] = self.lpips.to(image.device)(matte * edit.image, matte * image).mean()
+        if self.recognition is not None and factors["identity"]:
+            found["identity"] = self._identity(matte * edit.image, matte * image, mot.points(side))
         total = losses.total(found, self.weights, step)
         return total.loss, {f"real {name}": value for name, value in total.scalars.items()}
 
@@ -221,18 +223,21 @@ class JointStage(Pairs):
         if self.lpips is not None:
             found["lpips"] = self.lpips.to(image.device)(image, target).mean()
         if self.recognition is not None and factors["identity"]:
-            recognition = self.recognition.to(image.device)
-            with torch.no_grad():
-                wanted = recognition.features(target, batch.points)
-            found["identity"] = losses.identity_loss(
-                recognition.features(image, batch.points), wanted
-            )
+            found["identity"] = self._identity(image, target, batch.points)
         critic: Tensor | float = 0.0
         if factors["adversarial"]:
             found["adversarial"], critic = self._adversarial(edit, batch, step)
         total = losses.total(found, self.weights, step)
         scalars = total.scalars | ({"critic": critic.item()} if isinstance(critic, Tensor) else {})
         return total.loss + critic, scalars
+
+    def _identity(self, image: Tensor, target: Tensor, points: Tensor) -> Tensor:
+        """L_id; the faces of both are where the target's five `points` (B, 5, 2) are, in pixels."""
+        assert self.recognition is not None
+        recognition = self.recognition.to(image.device)
+        with torch.no_grad():
+            wanted = recognition.features(target, points)
+        return losses.identity_loss(recognition.features(image, points), wanted)
 
     def validate(self, network: nn.Module) -> tuple[float, dict[str, float], dict[str, Tensor]]:
         return validate(self.network.model, self.held_out, self.most)

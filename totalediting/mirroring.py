@@ -36,3 +36,5 @@ EXPRESSIONS = [ARKIT_NAMES.index(_other_side(name)) for name in ARKIT_NAMES]
 PARTS = torch.arange(256, dtype=torch.uint8)
 """Part id → id of its counterpart: eyes, brows and ears change sides."""
 PARTS[[3, 4, 5, 6, 7, 8]] = torch.tensor([4, 3, 6, 5, 8, 7], dtype=torch.uint8)
+FACE_POINTS = [1, 0, 2, 4, 3]
+"""Place among a mirrored face's five points → place of the same point before."""

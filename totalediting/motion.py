@@ -8,16 +8,21 @@ pitch) of the eyes in the head, head (pitch, roll, yaw) against the trunk, camer
 about the head. A camera is described as a dataset's: its angles, its focal length on a sensor of
 36 mm, `fill` = height of the head / height of the frame, and `shift`, where the head's centre
 appears, as a share of the frame from its middle (right, up).
+
+What is small on a head, its expression and gaze, is read off the face alone, which five points
+found in the picture lay out straight.
 """
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from totalediting import recognition
 from totalediting.blocks import ResidualBlock, conv, coordinates, norm
 from totalediting.presets import Preset
 
@@ -34,6 +39,11 @@ FILL = 0.5
 
 _SIDE = 128  # pixels that the network sees along a side
 _WIDTHS = (32, 64, 128, 256)
+_FINE = 16  # cells along a side of the maps that points are found on
+_FACE = 64  # pixels along a side of the face laid out
+_FACE_WIDTHS = (24, 24, 48, 96)
+_FACE_FEATURES = 128
+_READ = ("expression", "gaze")  # fields that are read off the face
 _REST = 0.05  # an untrained tracker's expression coefficients
 
 WEIGHTS = {
@@ -45,6 +55,7 @@ WEIGHTS = {
     "log_focal": 3.0,
     "log_fill": 14.0,
     "shift": 70.0,
+    "face": 35.0,
 }
 """What a field's error counts in `tracking_loss`: the mean absolute one, for the expression the
 mean square, as most coefficients are 0 most of the time and a median would be content with that.
@@ -52,7 +63,8 @@ mean square, as most coefficients are 0 most of the time and a median would be c
 The inverse of each field's mean deviation from its median in a job of default settings (gaze 0.12,
 head 0.13, camera 0.24, log focal length 0.18, log fill 0.07, shift 0.015), of the expression that
 of its mean variance, 0.02, so that all start near 1; half of it for the focal length, which little
-of a picture tells, and for identity (of unit variance), of which much cannot be seen.
+of a picture tells, and for identity (of unit variance), of which much cannot be seen. The face's
+points (0.06) count double, as reading hangs on them.
 """
 
 
@@ -76,11 +88,18 @@ class Tracking(NamedTuple):
     """(B, 1) log(fill / `FILL`)."""
     shift: Tensor
     """(B, 2) of the head's centre from the middle of the frame, right and up, in frames."""
+    face: Tensor
+    """(B, 10) of both eyes, nose and corners of the mouth from the middle of the frame, right and
+    up, in frames: `recognition.five_points`, one after the other."""
 
     @property
     def code(self) -> Tensor:
         """e (B, 54), the code of motion: expression, then gaze."""
         return torch.cat([self.expression, self.gaze], -1)
+
+    def points(self, side: int) -> Tensor:
+        """(B, 5, 2) where the face's five points are in a picture of `side`, in its pixels."""
+        return (self.face.unflatten(-1, (5, 2)) * self.face.new_tensor([1, -1]) + 0.5) * side
 
     @property
     def focal_mm(self) -> Tensor:
@@ -93,34 +112,61 @@ class Tracking(NamedTuple):
         return FILL * self.log_fill.exp()
 
 
-_SIZES = Tracking(EXPRESSIONS, 2, 3, IDENTITY, 3, 1, 1, 2)  # pyright: ignore[reportArgumentType]
+SIZES = Tracking(EXPRESSIONS, 2, 3, IDENTITY, 3, 1, 1, 2, 10)  # pyright: ignore[reportArgumentType]
+"""How many numbers each field has."""
 
 
 class HeadTracker(nn.Module):
-    """Pictures (B, 3, S, S) in [0, 1] to `Tracking`: a ResNet, its mean, a linear layer per field.
+    """Pictures (B, 3, S, S) in [0, 1] to `Tracking`: a ResNet that finds the face, and a small one
+    that reads it.
 
     Pictures are brought to 128 x 128 first, so that the weights are of no preset: one tracker
     serves all. A fresh one sees a nearly neutral face in front of a neutral camera everywhere.
     """
 
     xy: Tensor
+    cells: Tensor
+    template: Tensor
 
     def __init__(self, preset: Preset) -> None:
         """Build for pictures of side `preset.image`, the only thing that presets decide here."""
         super().__init__()
         self.image = preset.image
         self.register_buffer("xy", coordinates(_SIDE, _SIDE), persistent=False)
-        layers: list[nn.Module] = [conv(5, _WIDTHS[0], 7, 2), norm(_WIDTHS[0]), nn.ReLU()]
-        for channels, out in zip((_WIDTHS[0], *_WIDTHS), _WIDTHS, strict=False):
-            layers += [ResidualBlock(channels, out, 2), ResidualBlock(out, out)]
-        self.trunk = nn.Sequential(*layers)
-        self.heads = nn.ModuleDict({name: _head(size) for name, size in _SIZES._asdict().items()})
+        first, second, third, fourth = _WIDTHS
+        self.fine = nn.Sequential(
+            *(conv(5, first, 7, 2), norm(first), nn.ReLU()),
+            *_stage(first, first),
+            *_stage(first, second),
+        )
+        self.coarse = nn.Sequential(*_stage(second, third), *_stage(third, fourth))
+        self.place = nn.Sequential(ResidualBlock(second + fourth, second), conv(second, 5, 1))
+        self.register_buffer("cells", coordinates(_FINE, _FINE).flatten(1), persistent=False)
+        widths, cells = _FACE_WIDTHS, _FACE // 8
+        self.face = nn.Sequential(
+            *(conv(3, widths[0]), norm(widths[0]), nn.ReLU()),
+            *(ResidualBlock(*pair, 2) for pair in pairwise(widths)),
+            *(nn.Flatten(), nn.Linear(widths[-1] * cells**2, _FACE_FEATURES)),
+            nn.ReLU(),
+        )
+        # ArcFace's places of the five points, as shares of half a face from its middle, downwards.
+        template = 2 * torch.tensor(recognition.TEMPLATE) / recognition.SIDE - 1
+        self.register_buffer("template", template, persistent=False)
+        self.heads = nn.ModuleDict()
+        for name, size in SIZES._asdict().items():
+            read = name in _READ
+            if name != "face":
+                self.heads[name] = _head(
+                    _FACE_FEATURES if read else fourth * (_FINE // 4) ** 2, size
+                )
         expression = self.heads["expression"]
         assert isinstance(expression, nn.Linear)
         nn.init.constant_(expression.bias, _REST)
 
-    def forward(self, image: Tensor) -> Tracking:
+    def forward(self, image: Tensor, face: Tensor | None = None) -> Tracking:
         """Track pictures (B, 3, S, S) in [0, 1]; each by itself, without what came before.
+
+        With `face`, as of `Tracking`, expression and gaze are read there, not where it is found.
 
         Raises:
             ValueError: another shape.
@@ -131,11 +177,44 @@ class HeadTracker(nn.Module):
             )
         small = functional.interpolate(image, (_SIDE, _SIDE), mode="bilinear", antialias=True)
         seen = torch.cat([2 * small - 1, self.xy.to(image).expand(len(image), -1, -1, -1)], 1)
-        mean = self.trunk(seen).mean((-2, -1))
-        fields = {name: head(mean) for name, head in self.heads.items()}
+        fine = self.fine(seen)
+        coarse = self.coarse(fine)
+        found = self._place(fine, coarse)
+        read = self.face(self.lay_out(small, found.detach() if face is None else face))
+        whole = coarse.flatten(1)
+        fields = {name: head(read if name in _READ else whole) for name, head in self.heads.items()}
         if not self.training:  # what overshoots still has a gradient in training
             fields["expression"] = fields["expression"].clamp(0, 1)
-        return Tracking(**fields)
+        return Tracking(**fields, face=found)
+
+    def lay_out(self, image: Tensor, face: Tensor) -> Tensor:
+        """Faces (B, 3, 64, 64) in [-1, 1], turned and scaled so that the points `face` (B, 10) of
+        pictures (B, 3, H, H) in [0, 1] lie where ArcFace has them; the border goes on outwards.
+
+        The similarity from face to picture is the best by least squares. With complex numbers t of
+        the template about its mean and z of the points, it is sum conj(t) z / sum |t|^2.
+        """
+        points = 2 * face.float().unflatten(-1, (5, 2)) * face.new_tensor([1, -1])
+        middle, centre = points.mean(1), self.template.mean(0)
+        (tx, ty), (x, y) = (
+            (p - p.mean(-2, keepdim=True)).unbind(-1) for p in (self.template, points)
+        )
+        size = (tx**2 + ty**2).sum()
+        a, b = (tx * x + ty * y).sum(-1) / size, (tx * y - ty * x).sum(-1) / size
+        turn = torch.stack([a, -b, b, a], -1).unflatten(-1, (2, 2))
+        affine = torch.cat([turn, (middle - turn @ centre)[..., None]], -1)
+        grid = functional.affine_grid(affine, [len(image), 3, _FACE, _FACE], align_corners=False)
+        laid = functional.grid_sample(
+            image, grid.to(image), padding_mode="border", align_corners=False
+        )
+        return 2 * laid - 1
+
+    def _place(self, fine: Tensor, coarse: Tensor) -> Tensor:
+        """(B, 10) of the five points: the mean place of a map of probability each."""
+        around = functional.interpolate(coarse, (_FINE, _FINE), mode="bilinear")
+        share = self.place(torch.cat([fine, around], 1)).float().flatten(2).softmax(-1)
+        place = share @ self.cells.mT  # in [-1, 1], right and down
+        return (place * place.new_tensor([0.5, -0.5])).flatten(1)
 
 
 def tracking_errors(predicted: Tracking, truth: Tracking) -> dict[str, Tensor]:
@@ -165,9 +244,13 @@ def tracking_loss(predicted: Tracking, truth: Tracking) -> Tensor:
     return torch.stack([WEIGHTS[name] * error for name, error in errors.items()]).sum()
 
 
-def _head(size: int) -> nn.Linear:
+def _stage(channels: int, out: int) -> tuple[ResidualBlock, ResidualBlock]:
+    return ResidualBlock(channels, out, 2), ResidualBlock(out, out)
+
+
+def _head(features: int, size: int) -> nn.Linear:
     """A linear layer whose outputs start near 0."""
-    layer = nn.Linear(_WIDTHS[-1], size)
-    nn.init.normal_(layer.weight, std=0.002)
+    layer = nn.Linear(features, size)
+    nn.init.normal_(layer.weight, std=0.03 * features**-0.5)
     nn.init.zeros_(layer.bias)
     return layer

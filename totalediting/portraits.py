@@ -23,7 +23,7 @@ from totalediting import shots
 from totalediting.data import DAMAGE, reason
 from totalediting.identity import IdentityBasis, identity_basis
 from totalediting.light_mixing import draw_light
-from totalediting.mirroring import EXPRESSIONS, MIRROR, PARTS, mirrored_lightmaps
+from totalediting.mirroring import EXPRESSIONS, FACE_POINTS, MIRROR, PARTS, mirrored_lightmaps
 from totalediting.motion import Tracking
 from totalediting.numbered import Numbered, Unreadable
 from totalediting.presets import Preset
@@ -168,4 +168,7 @@ def mirrored_tracking(truth: Tracking, basis: IdentityBasis) -> Tracking:
         log_focal=truth.log_focal,
         log_fill=truth.log_fill,
         shift=truth.shift * truth.shift.new_tensor([-1.0, 1.0]),
+        face=(
+            truth.face.unflatten(-1, (5, 2))[..., FACE_POINTS, :] * MIRROR[:2].to(truth.face)
+        ).flatten(-2),
     )

@@ -116,6 +116,7 @@ def tracking(meta: dict[str, Any], identity: Tensor) -> Tracking:
         log_focal=_floats([math.log(drawn["focal_mm"] / FOCAL_MM)]),
         log_fill=_floats([math.log(drawn["fill"] / FILL)]),
         shift=_floats(drawn["shift"]),
+        face=((five_points(meta, 1) - 0.5) * torch.tensor([1, -1])).flatten(),
     )
 
 

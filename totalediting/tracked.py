@@ -26,11 +26,10 @@ from assets_procedural.motion import ARKIT_NAMES, Pose, lid_following
 from assets_procedural.regions import fields
 from totalediting.field import Control
 from totalediting.identity import IdentityBasis, identity_basis
-from totalediting.motion import EXPRESSIONS, FILL, IDENTITY, Tracking
+from totalediting.motion import FILL, SIZES, Tracking
 from totalediting.shots import ORIGIN_LANDMARKS
 
 _SENSOR_MM = 36.0
-_SHAPES = Tracking(EXPRESSIONS, 2, 3, IDENTITY, 3, 1, 1, 2)  # pyright: ignore[reportArgumentType]
 _SMALL = 1e-3  # radians: a gaze that no lid is fully turned by
 
 
@@ -127,7 +126,7 @@ class _Rig(NamedTuple):
 
 def _rig_of(tracking: Tracking) -> tuple[_Rig, Tracking]:
     """The constants for a tracking, and it in double precision."""
-    for name, field, size in zip(Tracking._fields, tracking, _SHAPES, strict=True):
+    for name, field, size in zip(Tracking._fields, tracking, SIZES, strict=True):
         if field.shape != (len(tracking.expression), size):
             raise ValueError(f"{name} must be (B, {size}), got {tuple(field.shape)}")
     return _rig(tracking.expression.device), Tracking(*(field.double() for field in tracking))
