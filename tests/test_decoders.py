@@ -104,6 +104,9 @@ def test_a_fresh_volume_is_the_skin_in_a_translucent_fog() -> None:
     decoder = GeometryDecoder(TINY)
     features = torch.randn(1, 4096, TINY.plane_channels)
     outside, inside = (decoder(features, torch.full((1, 4096), i)) for i in (-1.0, 1.0))
+    blank = decoder(torch.zeros(1, 1, TINY.plane_channels), torch.zeros(1, 1)).item()
+    fog = decoders.FRESH + decoders.FULL / 2  # on the skin, of which nothing is known
+    assert blank == pytest.approx(DENSITY_SCALE * math.log1p(math.exp(fog - 1.0)), rel=1e-5)
     assert 0.1 < 1.0 - math.exp(-0.6 * outside.mean().item()) < 0.8
     assert (1.0 - (-0.015 * inside).exp()).min() > 0.9, "within 15 mm"
 

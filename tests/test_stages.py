@@ -13,6 +13,7 @@ import pytest
 import torch
 from conftest import Answer
 from PIL import Image
+from torch import nn
 
 from totalediting import (
     checkpoints,
@@ -24,11 +25,14 @@ from totalediting import (
     showcase,
     stages,
 )
+from totalediting import joint as joint_stage
+from totalediting.clips import ClipPair
 from totalediting.data import MIRRORED
-from totalediting.field import Control
+from totalediting.field import Control, Table
 from totalediting.identity import faces_of
 from totalediting.joint import JointStage, RealClips
 from totalediting.mirroring import MIRROR
+from totalediting.motion import HeadTracker
 from totalediting.presets import PRESETS, preset_with
 from totalediting.reconstruction import ReconstructStage, edit_of
 from totalediting.stages import LightmapStage, TrackerStage
@@ -186,6 +190,34 @@ def test_real_clips_are_trained_on_beside_synthetic_pairs(
     assert "--real-share: 2.0: give a number from 0 to 1" in totalediting(*half).error
 
 
+def test_a_real_face_is_compared_where_the_tracker_finds_it(
+    small_dataset: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """L_id of a clip: both pictures are aligned by the five points of the target."""
+    asked = []
+
+    class Likeness(nn.Module):
+        def features(self, picture: torch.Tensor, points: torch.Tensor) -> torch.Tensor:
+            asked.append(points)
+            return picture.mean((2, 3))
+
+    monkeypatch.setattr(joint_stage, "Recognition", Likeness)
+    monkeypatch.setattr(perceptual, "fetch", _missing)
+    torch.manual_seed(0)
+    tiny, frame = PRESETS["tiny"], torch.rand(1, 3, 128, 128)
+    tracker = HeadTracker(tiny).eval()
+    real = RealClips(None, tracker, 1.0)  # pyright: ignore[reportArgumentType]
+    weights = dataclasses.replace(losses.OURS, identity_from=0, tv=0.0)
+    stage = JointStage(small_dataset, tiny, 0, 0, weights=weights, real=real)
+    empty = torch.zeros(1, 3, 128, 128)
+    matte, unknown = torch.ones(1, 1, 128, 128), torch.tensor([False])
+    clip = ClipPair(frame, frame.flip(-1), frame, matte, unknown, empty, ["clip"])
+    loss, said = stage.loss(stage.network, clip, 0)
+    assert said["real identity"] > 0 and torch.isfinite(loss)
+    wanted = tracker(clip.mot_image).points(128)
+    assert len(asked) == 2 and all(torch.equal(points, wanted) for points in asked)
+
+
 def test_real_steps_are_spread_evenly(small_dataset: Path) -> None:
     for share, wanted in ((0.0, 0), (0.25, 10), (0.5, 20), (1.0, 40)):
         real = RealClips(None, None, share)  # pyright: ignore[reportArgumentType]
@@ -226,14 +258,20 @@ def test_static_pairs_come_first(small_dataset: Path) -> None:
 def test_deformations_are_solved_once(small_dataset: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     stage = ReconstructStage(small_dataset, PRESETS["tiny"], seed=0, workers=0)
     batch = next(stage.batches(0, 2, 0, 1))
-    solved, asked = stage.network.deformation(batch.control), []
+    turned = [key.endswith(MIRRORED) for key in batch.key]
+    assert sorted(turned) == [False, True], "another seed is wanted"
+    sides = torch.stack([MIRROR if turn else MIRROR.abs() for turn in turned])[:, None]
+    solved = stage.network.deformation(Control(*(sides * a for a in batch.control))).unstack()
+    wanted = Table.stack([t.mirrored() if m else t for t, m in zip(solved, turned, strict=True)])
+    itself, asked = stage.network.deformation(batch.control), []
     real = stage.network.deformation
     monkeypatch.setattr(
         stage.network, "deformation", lambda c: (asked.append(len(c.posed)), real(c))[1]
     )
     for _ in range(2):
         found = stage.deformation(stage.network, batch)
-        assert (found.values - solved.values)[:, :3].abs().mean() < 1e-4
+        assert torch.equal(found.values, wanted.values)
+        assert (found.values - itself.values)[:, :3].abs().mean() < 1e-4
     assert asked == [2]
     # The other way round: what was mirrored is not, and what was not is.
     keys = [k.removesuffix(MIRRORED) if k.endswith(MIRRORED) else k + MIRRORED for k in batch.key]
