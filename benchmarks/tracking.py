@@ -170,6 +170,8 @@ def accuracy(network: HeadTracker, folder: Path, split: str, training: Path) -> 
         row(f"… {ARKIT_NAMES[k]}", ours[:, k], median[k], true[:, k])
     ours, true, all_known = (t.identity.numpy() for t in (found, truth, known))
     row("identity, in deviations", ours, np.median(all_known, axis=0), true)
+    ours, true, all_known = (100 * t.face.numpy() for t in (found, truth, known))
+    row("points of the face, % of the frame", ours, np.median(all_known, axis=0), true)
     ours, true, all_known = (figures_of(t) for t in (found, truth, known))
     for name in ours:
         row(name, ours[name], np.median(all_known[name]), true[name])
