@@ -38,7 +38,7 @@ SCHEDULES = {
     "tracker": Schedule(steps=2000, batch=24, learning_rate=1e-3),
     "lightmaps": Schedule(steps=2000, batch=24, learning_rate=1e-3),
     "reconstruct": Schedule(steps=1400, batch=4, learning_rate=8e-4),
-    "joint": Schedule(steps=60, batch=4, learning_rate=2e-4, warmup=20),
+    "joint": Schedule(steps=100, batch=4, learning_rate=2e-4, warmup=20),
 }
 """Of the preset `tiny`, on two cores."""
 
