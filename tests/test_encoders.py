@@ -283,6 +283,22 @@ def test_one_tracker_serves_all_presets():
     assert seen[0].abs().max() > 1
 
 
+def test_a_face_is_laid_out_by_its_points():
+    """ArcFace's template turned, scaled and moved into a picture comes back to where it was."""
+    tracker, side = encoders(TINY).tracker, 128
+    turn = torch.polar(torch.tensor(0.25), torch.tensor(0.4))
+    placed = torch.view_as_real(torch.view_as_complex(tracker.template) * turn)
+    placed = placed + torch.tensor([0.1, -0.2])  # right and down, in half frames
+    x, y = coordinates(side, side)
+    image = torch.stack([torch.exp(-((x - u) ** 2 + (y - v) ** 2) / 0.002) for u, v in placed[2:]])
+    face = (placed / 2 * torch.tensor([1, -1])).flatten()
+    laid = (tracker.lay_out(image[None], face[None])[0] + 1) / 2
+    x, y = coordinates(64, 64)
+    for dot, wanted in zip(laid, tracker.template[2:], strict=True):
+        found = torch.stack([(dot * x).sum(), (dot * y).sum()]) / dot.sum()
+        torch.testing.assert_close(found, wanted, atol=0.01, rtol=0)
+
+
 def truth(count: int) -> Tracking:
     return Tracking(*(torch.zeros(count, size) for size in motion.SIZES))
 
