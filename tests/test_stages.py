@@ -69,16 +69,16 @@ def test_a_single_batch_is_learnt_by_heart(small_dataset: Path, kind: type) -> N
     torch.manual_seed(0)
     stage = kind(small_dataset, PRESETS["tiny"], seed=0, workers=0)
     batch = next(stage.batches(0, 2, 0, 1))
-    optimiser = torch.optim.AdamW(stage.network.parameters(), 1e-3)
+    optimiser = torch.optim.AdamW(stage.network.parameters(), 3e-4)
     curve = []
-    for step in range(25):
+    for step in range(100):
         torch.manual_seed(0)
         loss, _ = stage.loss(stage.network, batch, step)
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()
         curve.append(loss.item())
-    assert curve[-1] < 0.6 * curve[0]
+    assert curve[-1] < 0.3 * curve[0]
 
 
 def test_batches_follow_from_the_step_alone(small_dataset: Path) -> None:
