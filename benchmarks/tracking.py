@@ -82,7 +82,7 @@ class Pictures:
     def batches(self, side: int) -> Iterator[tuple[Tensor, Tracking]]:
         """(B, 3, side, side) and truth, a shot in all its environments at a time."""
         for k in range(len(self.shots.keys)):
-            names = [f"rgb_{light:02d}" for light in range(self.shots.environments(k))]
+            names = [shots.rgb_name(light) for light in range(self.shots.environments(k))]
             stored = self.shots.read(k, "meta", *names)
             truth = self._tracking(k, stored["meta"])
             images = torch.stack([shots.picture(stored[name], side) for name in names])

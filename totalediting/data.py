@@ -169,7 +169,7 @@ class PortraitPairs(Numbered[Sample]):
         return light.picture([shots.picture(stored[name], self.side) for name in light.members()])
 
     def _sample(self, item: int, light: Light, another: int, other: int, source: _Source) -> Sample:
-        rgb, rgb_relit = light.members(), f"rgb_{another:02d}"
+        rgb, rgb_relit = light.members(), shots.rgb_name(another)
         labels = (
             "albedo", "normal", "depth", "canonical", "alpha", "parts", "geometry", "meta",
         )  # fmt: skip

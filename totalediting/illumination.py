@@ -50,7 +50,7 @@ class Illumination(NamedTuple):
 
 
 class LightmapEstimator(nn.Module):
-    """E_lit, E_nor, E_lobe and D_lit."""
+    """E_lit, E_nor, E_lobe and D_lit, and E_face, which is ours."""
 
     coarse_position: Tensor
     position: Tensor

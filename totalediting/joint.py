@@ -1,9 +1,10 @@
 """The joint stage: everything together, L = L_rec + L_reg + L_adv (paper, supplement A).
 
-The model goes on from the stage `reconstruct`, the lightmap estimator from `lightmaps`, without its
-normal decoder. In every other step on synthetic pairs the light is what the estimator sees in the
-driver's picture, so that it learns from the result as well; else it is the truth. Real pairs, two
-frames of a clip, are described by the head tracker; their light is always the estimator's.
+The model goes on from the stage `reconstruct`, the lightmap estimator from `lightmaps`; the last
+layer of its normals, which no light teaches, stands still. In every other step on synthetic pairs
+the light is what the estimator sees in the driver's picture, so that it learns from the result as
+well; else it is the truth. Real pairs, two frames of a clip, are described by the head tracker;
+their light is always the estimator's.
 
 The discriminator is trained in the same step by the same optimiser: the generator's term passes
 through a copy of its weights that receives no gradient, its own terms see pictures that receive

@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from totalediting.phong import display, undisplay
+from totalediting.shots import rgb_name
 
 _MIXED = 0.5  # share of the draws that mix
 _TINT, _BRIGHTNESS = 0.12, 0.25  # standard deviations of a mixture's log factors
@@ -28,7 +29,7 @@ class Light(NamedTuple):
 
     def members(self) -> tuple[str, ...]:
         """Names of the shot's pictures that it takes."""
-        return tuple(f"rgb_{environment:02d}" for environment in self.environments)
+        return tuple(rgb_name(environment) for environment in self.environments)
 
     def picture(self, pictures: Sequence[Tensor]) -> Tensor:
         """The shot in this light, (3, S, S) in [0, 1], from its pictures in `environments`."""

@@ -23,7 +23,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from totalediting import recognition
-from totalediting.blocks import ResidualBlock, conv, coordinates, norm
+from totalediting.blocks import ResidualBlock, conv, conv_norm, coordinates, norm
 from totalediting.presets import Preset
 
 EXPRESSIONS = 52
@@ -39,7 +39,7 @@ FILL = 0.5
 
 _SIDE = 128  # pixels that the network sees along a side
 _WIDTHS = (32, 64, 128, 256)
-_FINE = 16  # cells along a side of the maps that points are found on
+_FINE, _COARSE = 16, 4  # cells along a side of the maps: points are found on the fine ones
 _FACE = 64  # pixels along a side of the face laid out
 _FACE_WIDTHS = (24, 24, 48, 96)
 _FACE_FEATURES = 128
@@ -135,30 +135,33 @@ class HeadTracker(nn.Module):
         self.register_buffer("xy", coordinates(_SIDE, _SIDE), persistent=False)
         first, second, third, fourth = _WIDTHS
         self.fine = nn.Sequential(
-            *(conv(5, first, 7, 2), norm(first), nn.ReLU()),
-            *_stage(first, first),
-            *_stage(first, second),
+            conv(5, first, 7, 2),
+            norm(first),
+            nn.ReLU(),
+            *_halving(first, first),
+            *_halving(first, second),
         )
-        self.coarse = nn.Sequential(*_stage(second, third), *_stage(third, fourth))
+        self.coarse = nn.Sequential(*_halving(second, third), *_halving(third, fourth))
         self.place = nn.Sequential(ResidualBlock(second + fourth, second), conv(second, 5, 1))
         self.register_buffer("cells", coordinates(_FINE, _FINE).flatten(1), persistent=False)
         widths, cells = _FACE_WIDTHS, _FACE // 8
         self.face = nn.Sequential(
-            *(conv(3, widths[0]), norm(widths[0]), nn.ReLU()),
+            *conv_norm(3, widths[0]),
             *(ResidualBlock(*pair, 2) for pair in pairwise(widths)),
-            *(nn.Flatten(), nn.Linear(widths[-1] * cells**2, _FACE_FEATURES)),
+            nn.Flatten(),
+            nn.Linear(widths[-1] * cells**2, _FACE_FEATURES),
             nn.ReLU(),
         )
         # ArcFace's places of the five points, as shares of half a face from its middle, downwards.
         template = 2 * torch.tensor(recognition.TEMPLATE) / recognition.SIDE - 1
         self.register_buffer("template", template, persistent=False)
-        self.heads = nn.ModuleDict()
-        for name, size in SIZES._asdict().items():
-            read = name in _READ
-            if name != "face":
-                self.heads[name] = _head(
-                    _FACE_FEATURES if read else fourth * (_FINE // 4) ** 2, size
-                )
+        self.heads = nn.ModuleDict(
+            {
+                name: _head(_FACE_FEATURES if name in _READ else fourth * _COARSE**2, size)
+                for name, size in SIZES._asdict().items()
+                if name != "face"
+            }
+        )
         expression = self.heads["expression"]
         assert isinstance(expression, nn.Linear)
         nn.init.constant_(expression.bias, _REST)
@@ -192,7 +195,8 @@ class HeadTracker(nn.Module):
         pictures (B, 3, H, H) in [0, 1] lie where ArcFace has them; the border goes on outwards.
 
         The similarity from face to picture is the best by least squares. With complex numbers t of
-        the template about its mean and z of the points, it is sum conj(t) z / sum |t|^2.
+        the template about its mean and z of the points, it is sum conj(t) z / sum |t|^2. Unlike
+        `recognition.align`, it takes points that coincide, as those of a fresh tracker may.
         """
         points = 2 * face.float().unflatten(-1, (5, 2)) * face.new_tensor([1, -1])
         middle, centre = points.mean(1), self.template.mean(0)
@@ -244,7 +248,7 @@ def tracking_loss(predicted: Tracking, truth: Tracking) -> Tensor:
     return torch.stack([WEIGHTS[name] * error for name, error in errors.items()]).sum()
 
 
-def _stage(channels: int, out: int) -> tuple[ResidualBlock, ResidualBlock]:
+def _halving(channels: int, out: int) -> tuple[ResidualBlock, ResidualBlock]:
     return ResidualBlock(channels, out, 2), ResidualBlock(out, out)
 
 

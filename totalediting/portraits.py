@@ -76,7 +76,7 @@ class Portraits(Numbered[Portrait]):
         self.side, self.rows = preset.image, preset.lightmap_height
         self.mirror, self.mix = mirror, mix
         self.basis = identity_basis()
-        self._kept: dict[tuple[int, int | None], tuple[Tensor, ...]] = {}
+        self._decoded: dict[tuple[str | int, ...], tuple[Tensor, ...]] = {}
         self._room = _ROOM
 
     def make(self, item: int, rng: np.random.Generator) -> Portrait:
@@ -84,14 +84,12 @@ class Portraits(Numbered[Portrait]):
         light = draw_light(rng, self.shots.environments(item), self.mix)
         turn = self.mirror and bool(rng.random() < 0.5)
         try:
-            lit = [
-                self._keep((item, e), lambda e=e: self._lit(item, e)) for e in light.environments
-            ]
-            shown = self._keep((item, None), lambda: self._shown(item))
+            lit = [self._kept(self._lit, item, e) for e in light.environments]
+            labels = self._kept(self._labels, item)
         except DAMAGE as error:
             raise Unreadable(item, reason(error)) from error
         pictures, maps = zip(*lit, strict=True)
-        normal, alpha, parts, *truth = shown
+        normal, alpha, parts, *truth = labels
         portrait = Portrait(
             image=light.picture(pictures),
             lightmaps=light.lightmaps(maps),
@@ -105,13 +103,13 @@ class Portraits(Numbered[Portrait]):
 
     def _lit(self, item: int, environment: int) -> tuple[Tensor, ...]:
         """Picture and lightmaps of a shot in one of its environments."""
-        name = f"rgb_{environment:02d}"
+        name = shots.rgb_name(environment)
         stored = self.shots.read(item, name, "meta")
         frame = torch.tensor(stored["meta"]["camera"]["camera_to_world"])[:3, :3]
         maps = self.shots.lightmaps(stored["meta"], environment, self.rows, frame)
         return shots.picture(stored[name], self.side), maps
 
-    def _shown(self, item: int) -> tuple[Tensor, ...]:
+    def _labels(self, item: int) -> tuple[Tensor, ...]:
         """Normals, alpha, parts and the fields of the truth, which all light shares."""
         stored = self.shots.read(item, "normal", "alpha", "parts", "meta")
         parts, side = stored["parts"], self.side
@@ -122,17 +120,16 @@ class Portraits(Numbered[Portrait]):
             *self._truth(item, stored["meta"]),
         )
 
-    def _keep(
-        self, key: tuple[int, int | None], make: Callable[[], tuple[Tensor, ...]]
-    ) -> tuple[Tensor, ...]:
-        """What `make` gives, the first time; decoding takes longer than a step on two cores."""
-        if key not in self._kept:
-            made = make()
+    def _kept(self, make: Callable[..., tuple[Tensor, ...]], *arguments: int) -> tuple[Tensor, ...]:
+        """What `make` gives, decoded once; to decode it in every epoch took a third of a step."""
+        key = (make.__name__, *arguments)
+        if key not in self._decoded:
+            made = make(*arguments)
             self._room -= sum(tensor.nbytes for tensor in made)
             if self._room < 0:
                 return made
-            self._kept[key] = made
-        return self._kept[key]
+            self._decoded[key] = made
+        return self._decoded[key]
 
     def _truth(self, item: int, meta: dict[str, Any]) -> Tracking:
         """What a tracker should find in a shot."""

@@ -133,6 +133,11 @@ def camera(meta: dict[str, Any], origin: np.ndarray, side: int) -> tuple[Tensor,
     return torch.from_numpy(camera_to_world).float(), intrinsics.float()
 
 
+def rgb_name(environment: int) -> str:
+    """Under which `read` has a shot's picture in one of its environments."""
+    return f"rgb_{environment:02d}"
+
+
 def five_points(meta: dict[str, Any], side: int) -> Tensor:
     """(5, 2) where a face's five points lie in a picture of `side`, see `recognition`."""
     scale = side / torch.tensor([meta["camera"]["width"], meta["camera"]["height"]])
