@@ -9,7 +9,7 @@ import torch
 from torch.nn import functional
 
 from synthgen.camera import CameraSample, resolve
-from totalediting.camera_jitter import jittered, jittered_light
+from totalediting.camera_jitter import jittered, jittered_light, photographed
 from totalediting.lightmaps import bake, sample
 from totalediting.motion import FILL, FOCAL_MM, Tracking
 
@@ -71,3 +71,14 @@ def test_the_jittered_ball_is_lit_by_the_jittered_light() -> None:
     torch.testing.assert_close(image[inside], shaded(maps, normal)[inside], atol=0.01, rtol=0)
     still = shaded(shown[-1], normal)
     assert (image - still)[inside].abs().max() > 0.05
+
+
+def test_a_photograph_without_chance_is_the_picture(monkeypatch) -> None:
+    """Every change is by a random number; where all are 0, nothing changes."""
+    image = 0.01 + 0.98 * torch.rand(2, 3, 16, 16, generator=torch.Generator().manual_seed(0))
+    torch.manual_seed(0)
+    changed = photographed(image)
+    assert (changed - image).abs().mean((1, 2, 3)).min() > 0.02
+    assert changed.min() >= 0 and changed.max() <= 1
+    monkeypatch.setattr(torch, "randn", torch.zeros)
+    torch.testing.assert_close(photographed(image), image, atol=1e-6, rtol=0)

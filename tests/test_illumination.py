@@ -7,7 +7,7 @@ import math
 import pytest
 import torch
 
-from totalediting import lightmaps
+from totalediting import illumination, lightmaps, phong
 from totalediting.illumination import LightmapEstimator, fold, sphere, texel_weights, unfold
 from totalediting.presets import PRESETS
 
@@ -106,6 +106,16 @@ def test_a_token_faces_where_its_patch_does(estimator) -> None:
     assert (towards * torch.tensor([[0, 0, 1.0], [-1, 0, 0]])).sum(-1).min() > 0.97
     assert facing[:, :-1].mean().item() == pytest.approx(1, abs=0.02)
     assert torch.equal(facing[:, -1], torch.ones(256))
+
+
+def test_a_token_knows_the_light_that_its_patch_shows() -> None:
+    """The mean of linear light, not of what is displayed, patch by patch and channel by channel."""
+    light = torch.zeros(1, 3, 128, 128)
+    light[:, 0, :, 4:8], light[:, 1] = 0.6, 0.1  # red in half of the first column of patches
+    seen = illumination._light_shown(phong.display(light))[0].unflatten(0, (16, 16))
+    for column, shown in ((0, [0.3, 0.1, 0.0]), (1, [0.0, 0.1, 0.0])):
+        wanted = torch.tensor([math.log1p(c) for c in shown] + [math.log(c + 0.02) for c in shown])
+        torch.testing.assert_close(seen[:, column], wanted.expand(16, -1), atol=1e-5, rtol=1e-5)
 
 
 def test_normals_are_unit_and_light_is_not_negative(estimator, image) -> None:

@@ -17,6 +17,9 @@ from totalediting.motion import Tracking
 ROLL, SCALE = 0.15, 0.12
 """Standard deviations in training: radians, and of the scale's logarithm."""
 
+_EXPOSURE, _BALANCE, _CONTRAST, _SATURATION = 0.2, 0.06, 0.2, 0.3  # of logarithms, likewise
+_NOISE = 0.02  # deviation of its deviation
+
 
 def jittered(
     image: Tensor, truth: Tracking, roll: Tensor, log_scale: Tensor
@@ -60,6 +63,22 @@ def jittered_light(
     image, normal, alpha = whole.split([3, 3, 1], 1)
     normal = (old.mT @ normal.flatten(2)).view_as(normal)
     return image, normal, alpha, rotate(lightmaps, old)
+
+
+def photographed(image: Tensor) -> Tensor:
+    """Pictures (B, 3, S, S) in [0, 1] as other cameras might have taken them, for what must not
+    hang on that: exposure, white balance, contrast, saturation, focus and noise at random.
+
+    Draws come from the global generator.
+    """
+    exposure, contrast, saturation, blur, noise = torch.randn(5, len(image), 1, 1, 1).to(image)
+    balance = torch.randn(len(image), 3, 1, 1).to(image)
+    soft = functional.avg_pool2d(image, 3, 1, 1, count_include_pad=False)
+    image = image.lerp(soft, blur.abs().clamp_max(1))
+    image = image.clamp_min(1e-3) ** (_CONTRAST * contrast).exp()
+    image = image * (_EXPOSURE * exposure + _BALANCE * balance).exp()
+    image = image.mean(1, keepdim=True).lerp(image, (_SATURATION * saturation).exp())
+    return (image + _NOISE * noise.abs() * torch.randn_like(image)).clamp(0, 1)
 
 
 def _resampled(picture: Tensor, roll: Tensor, log_scale: Tensor) -> Tensor:

@@ -6,7 +6,8 @@
 
 Every token knows which way the surface faces that it is of: E_face embeds its normal n as E_lobe
 embeds a direction, by max(0, n.l) over the same light directions l, so that the query for light
-from d finds what faces d. No gradient of light reaches the normals.
+from d finds what faces d. No gradient of light reaches the normals. And it knows the light that the
+picture shows there, which the norms of a U-Net lose.
 
 Symbols: B batch, S side of a picture, H rows of a lightmap, L light directions, D width, K tokens,
 Q queries. A query is one texel of one lobe: its direction d, its exponent e. As diffuse light and
@@ -25,7 +26,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from totalediting import lightmaps
+from totalediting import lightmaps, phong
 from totalediting.blocks import (
     Attention,
     FeedForward,
@@ -40,6 +41,7 @@ from totalediting.blocks import (
 from totalediting.presets import Preset
 
 _PATCH = 8  # pixels along a side that a token is of
+_DARK = 0.02  # linear light below which a logarithm tells little
 
 
 class Illumination(NamedTuple):
@@ -50,7 +52,7 @@ class Illumination(NamedTuple):
 
 
 class LightmapEstimator(nn.Module):
-    """E_lit, E_nor, E_lobe and D_lit, and E_face, which is ours."""
+    """E_lit, E_nor, E_lobe and D_lit, and what is ours: E_face, and the light shown at a token."""
 
     coarse_position: Tensor
     position: Tensor
@@ -76,6 +78,7 @@ class LightmapEstimator(nn.Module):
         # E_nor and E_face.
         self.to_normal = conv(dim // 2, 3 * (_PATCH // 2) ** 2, 1)
         self.face = nn.Linear(preset.light_directions + 1, dim)
+        self.shown = nn.Linear(6, dim)
         # E_lobe and D_lit.
         self.lobe = nn.Linear(preset.light_directions, dim)
         self.decoder = nn.ModuleList(
@@ -124,7 +127,8 @@ class LightmapEstimator(nn.Module):
         seen = self.up(torch.cat([grid, fine], 1))
         rough = functional.pixel_shuffle(self.to_normal(seen), _PATCH // 2)
         normal = functional.normalize(rough.float(), dim=1)
-        return self.token(to_tokens(seen)) + self.position + self.face(self._facing(normal)), normal
+        known = self.face(self._facing(normal)) + self.shown(_light_shown(image))
+        return self.token(to_tokens(seen)) + self.position + known, normal
 
     def _facing(self, normal: Tensor) -> Tensor:
         """(B, K, L + 1) lobes of the mean normal of a token's patch, and how flat the patch is."""
@@ -162,6 +166,12 @@ class _LobeBlock(nn.Module):
     def forward(self, queries: Tensor, tokens: Tensor) -> Tensor:
         queries = queries + self.attention(self.norm_query(queries), self.norm_tokens(tokens))
         return queries + self.mlp(self.norm_mlp(queries))
+
+
+def _light_shown(image: Tensor) -> Tensor:
+    """(B, K, 6) two logarithms of the mean linear light of the patches of pictures."""
+    light = to_tokens(functional.avg_pool2d(phong.undisplay(image.float()), _PATCH))
+    return torch.cat([light.log1p(), (light + _DARK).log()], -1)
 
 
 def fold(maps: Tensor) -> Tensor:

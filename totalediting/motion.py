@@ -44,6 +44,7 @@ _FACE = 64  # pixels along a side of the face laid out
 _FACE_WIDTHS = (24, 24, 48, 96)
 _FACE_FEATURES = 128
 _READ = ("expression", "gaze")  # fields that are read off the face
+_TURNED = ("head", "camera_yaw_pitch_roll")  # fields that face and picture tell together
 _REST = 0.05  # an untrained tracker's expression coefficients
 
 WEIGHTS = {
@@ -155,9 +156,10 @@ class HeadTracker(nn.Module):
         # ArcFace's places of the five points, as shares of half a face from its middle, downwards.
         template = 2 * torch.tensor(recognition.TEMPLATE) / recognition.SIDE - 1
         self.register_buffer("template", template, persistent=False)
+        features = {"read": _FACE_FEATURES, "whole": fourth * _COARSE**2}
         self.heads = nn.ModuleDict(
             {
-                name: _head(_FACE_FEATURES if name in _READ else fourth * _COARSE**2, size)
+                name: _head(sum(features[source] for source in _sources(name)), size)
                 for name, size in SIZES._asdict().items()
                 if name != "face"
             }
@@ -183,9 +185,12 @@ class HeadTracker(nn.Module):
         fine = self.fine(seen)
         coarse = self.coarse(fine)
         found = self._place(fine, coarse)
-        read = self.face(self.lay_out(small, found.detach() if face is None else face))
-        whole = coarse.flatten(1)
-        fields = {name: head(read if name in _READ else whole) for name, head in self.heads.items()}
+        face = found.detach() if face is None else face
+        told = {"read": self.face(self.lay_out(small, face)), "whole": coarse.flatten(1)}
+        fields = {
+            name: head(torch.cat([told[source] for source in _sources(name)], -1))
+            for name, head in self.heads.items()
+        }
         if not self.training:  # what overshoots still has a gradient in training
             fields["expression"] = fields["expression"].clamp(0, 1)
         return Tracking(**fields, face=found)
@@ -246,6 +251,13 @@ def tracking_loss(predicted: Tracking, truth: Tracking) -> Tensor:
     errors = tracking_errors(predicted, truth)
     errors["expression"] = functional.mse_loss(predicted.expression, truth.expression)
     return torch.stack([WEIGHTS[name] * error for name, error in errors.items()]).sum()
+
+
+def _sources(name: str) -> tuple[str, ...]:
+    """What a field is read from: the face laid out, the whole picture, or both."""
+    if name in _READ:
+        return ("read",)
+    return ("whole", "read") if name in _TURNED else ("whole",)
 
 
 def _halving(channels: int, out: int) -> tuple[ResidualBlock, ResidualBlock]:

@@ -30,7 +30,7 @@ from totalediting.presets import Preset
 from totalediting.shots import Shots
 from totalediting.tracked import reframed
 
-_ROOM = 1 << 29  # bytes of decoded shots that a process keeps
+_ROOM = 1 << 30  # bytes of decoded shots that a process keeps
 
 
 class Portrait(NamedTuple):

@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from totalediting import checkpoints, illumination, losses, metrics, phong
-from totalediting.camera_jitter import ROLL, SCALE, jittered, jittered_light
+from totalediting.camera_jitter import ROLL, SCALE, jittered, jittered_light, photographed
 from totalediting.clips import Clips
 from totalediting.errors import InputError
 from totalediting.identity import faces_of
@@ -31,12 +31,13 @@ from totalediting.training import Schedule
 
 _AT_ONCE = 8  # portraits of a validation
 _TEXELS = 192  # queries of lightmaps in a step; all of them would cost ten times as much
+_WIDER = 1.6  # times the jitter of scale that the tracker sees: clips are framed by others
 _MISPLACED = 0.01  # frames that a point of the face is off by, in training as when it is found
 _STATIC = 0.25  # share of the stage `reconstruct` before pairs differ in motion
 
 SCHEDULES = {
-    "tracker": Schedule(steps=2000, batch=24, learning_rate=1e-3),
-    "lightmaps": Schedule(steps=2000, batch=24, learning_rate=1e-3),
+    "tracker": Schedule(steps=2000, batch=24, learning_rate=5e-4),
+    "lightmaps": Schedule(steps=2000, batch=24, learning_rate=2.5e-3),
     "reconstruct": Schedule(steps=1400, batch=4, learning_rate=8e-4),
     "joint": Schedule(steps=100, batch=4, learning_rate=2e-4, warmup=20),
 }
@@ -139,7 +140,8 @@ class TrackerStage(_Shown):
     def loss(
         self, network: nn.Module, batch: Portrait, step: int
     ) -> tuple[Tensor, dict[str, float]]:
-        image, truth = jittered(batch.image, batch.truth, *_jitter(batch))
+        image, truth = jittered(batch.image, batch.truth, *_jitter(batch, _WIDER))
+        image = photographed(image)
         face = truth.face + _MISPLACED * torch.randn(truth.face.shape).to(image.device)
         found = network(image, face)
         errors = {name: e.item() for name, e in tracking_errors(found, truth).items()}
@@ -223,10 +225,10 @@ def evaluate(run: Path, data: Path, split: str) -> dict[str, dict[str, float]]:
     return found
 
 
-def _jitter(batch: Portrait) -> tuple[Tensor, Tensor]:
+def _jitter(batch: Portrait, wider: float = 1.0) -> tuple[Tensor, Tensor]:
     """Roll and logarithm of the scale (B,) of a step, from the global generator."""
     roll, log_scale = torch.randn(2, len(batch.image)).to(batch.image.device)
-    return ROLL * roll, SCALE * log_scale
+    return ROLL * roll, wider * SCALE * log_scale
 
 
 def _light_picture(batch: Portrait, maps: Tensor, normal: Tensor) -> Tensor:
