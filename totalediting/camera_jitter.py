@@ -2,6 +2,8 @@
 
 A roll of the picture is a roll of the camera; a crop about the middle is a longer lens from the
 same place. Both are exact, so tracker and lightmap estimator learn from them as from other cameras.
+`photographed` changes colours, focus and noise, which tell the tracker nothing.
+
 B, S as in `totalediting.motion`, h rows of a lightmap.
 """
 

@@ -10,7 +10,7 @@ about the head. A camera is described as a dataset's: its angles, its focal leng
 appears, as a share of the frame from its middle (right, up).
 
 What is small on a head, its expression and gaze, is read off the face alone, which five points
-found in the picture lay out straight.
+found in the picture lay out straight; how the head is turned, off the face and the whole picture.
 """
 
 from __future__ import annotations
@@ -43,8 +43,16 @@ _FINE, _COARSE = 16, 4  # cells along a side of the maps: points are found on th
 _FACE = 64  # pixels along a side of the face laid out
 _FACE_WIDTHS = (24, 24, 48, 96)
 _FACE_FEATURES = 128
-_READ = ("expression", "gaze")  # fields that are read off the face
-_TURNED = ("head", "camera_yaw_pitch_roll")  # fields that face and picture tell together
+_SOURCES = {  # what a field is read off: the whole picture, the face laid out, or both
+    "expression": ("face",),
+    "gaze": ("face",),
+    "head": ("picture", "face"),
+    "identity": ("picture",),
+    "camera_yaw_pitch_roll": ("picture", "face"),
+    "log_focal": ("picture",),
+    "log_fill": ("picture",),
+    "shift": ("picture",),
+}
 _REST = 0.05  # an untrained tracker's expression coefficients
 
 WEIGHTS = {
@@ -156,12 +164,11 @@ class HeadTracker(nn.Module):
         # ArcFace's places of the five points, as shares of half a face from its middle, downwards.
         template = 2 * torch.tensor(recognition.TEMPLATE) / recognition.SIDE - 1
         self.register_buffer("template", template, persistent=False)
-        features = {"read": _FACE_FEATURES, "whole": fourth * _COARSE**2}
+        features = {"face": _FACE_FEATURES, "picture": fourth * _COARSE**2}
         self.heads = nn.ModuleDict(
             {
-                name: _head(sum(features[source] for source in _sources(name)), size)
-                for name, size in SIZES._asdict().items()
-                if name != "face"
+                name: _head(sum(features[source] for source in sources), getattr(SIZES, name))
+                for name, sources in _SOURCES.items()
             }
         )
         expression = self.heads["expression"]
@@ -171,7 +178,8 @@ class HeadTracker(nn.Module):
     def forward(self, image: Tensor, face: Tensor | None = None) -> Tracking:
         """Track pictures (B, 3, S, S) in [0, 1]; each by itself, without what came before.
 
-        With `face`, as of `Tracking`, expression and gaze are read there, not where it is found.
+        With `face`, as of `Tracking`, what is read off the face is read there, not where it is
+        found.
 
         Raises:
             ValueError: another shape.
@@ -186,9 +194,9 @@ class HeadTracker(nn.Module):
         coarse = self.coarse(fine)
         found = self._place(fine, coarse)
         face = found.detach() if face is None else face
-        told = {"read": self.face(self.lay_out(small, face)), "whole": coarse.flatten(1)}
+        features = {"face": self.face(self.lay_out(small, face)), "picture": coarse.flatten(1)}
         fields = {
-            name: head(torch.cat([told[source] for source in _sources(name)], -1))
+            name: head(torch.cat([features[source] for source in _SOURCES[name]], -1))
             for name, head in self.heads.items()
         }
         if not self.training:  # what overshoots still has a gradient in training
@@ -251,13 +259,6 @@ def tracking_loss(predicted: Tracking, truth: Tracking) -> Tensor:
     errors = tracking_errors(predicted, truth)
     errors["expression"] = functional.mse_loss(predicted.expression, truth.expression)
     return torch.stack([WEIGHTS[name] * error for name, error in errors.items()]).sum()
-
-
-def _sources(name: str) -> tuple[str, ...]:
-    """What a field is read from: the face laid out, the whole picture, or both."""
-    if name in _READ:
-        return ("read",)
-    return ("whole", "read") if name in _TURNED else ("whole",)
 
 
 def _halving(channels: int, out: int) -> tuple[ResidualBlock, ResidualBlock]:
