@@ -9,6 +9,7 @@ import torch
 
 from totalediting import illumination, lightmaps, phong
 from totalediting.illumination import LightmapEstimator, fold, sphere, texel_weights, unfold
+from totalediting.mirroring import mirrored_lightmaps
 from totalediting.presets import PRESETS
 
 TINY = PRESETS["tiny"]
@@ -49,9 +50,21 @@ def test_some_queries_are_answered_as_all_are(estimator, image) -> None:
     texels = torch.tensor([0, 700, estimator.queries - 1])
     whole, some = estimator(image), estimator(image, texels)
     torch.testing.assert_close(some.code, whole.code[:, texels])
-    torch.testing.assert_close(
-        estimator.lightmaps(image), unfold(lightmaps.decode(whole.code), TINY.lightmap_height)
-    )
+
+
+def test_a_mirror_image_is_in_mirrored_light(estimator, image) -> None:
+    maps, turned = estimator.lightmaps(image), estimator.lightmaps(image.flip(-1))
+    torch.testing.assert_close(turned, mirrored_lightmaps(maps))
+    assert not torch.allclose(maps, mirrored_lightmaps(maps), atol=1e-3)
+
+
+def test_of_a_symmetric_picture_the_maps_are_the_mean_of_the_answer_and_its_mirror_image(
+    estimator, image
+) -> None:
+    image = (image + image.flip(-1)) / 2
+    answer = unfold(estimator(image).code, TINY.lightmap_height)
+    mean = (answer + mirrored_lightmaps(answer)) / 2
+    torch.testing.assert_close(estimator.lightmaps(image), lightmaps.decode(mean))
 
 
 def test_lobes_are_those_that_lightmaps_are_baked_with(estimator) -> None:

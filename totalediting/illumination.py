@@ -38,6 +38,7 @@ from totalediting.blocks import (
     to_grid,
     to_tokens,
 )
+from totalediting.mirroring import mirrored_lightmaps
 from totalediting.presets import Preset
 
 _PATCH = 8  # pixels along a side that a token is of
@@ -107,9 +108,13 @@ class LightmapEstimator(nn.Module):
         return Illumination(self.decode(tokens, texels), normal)
 
     def lightmaps(self, image: Tensor) -> Tensor:
-        """Lightmaps (B, 5, 3, H, 2H), linear, of pictures (B, 3, S, S)."""
-        tokens, _ = self.encode(image)
-        return unfold(lightmaps.decode(self.decode(tokens)), self.height)
+        """Lightmaps (B, 5, 3, H, 2H), linear, of pictures (B, 3, S, S).
+
+        The mean, as log(1 + light), of what picture and mirror image say: a mirror turns light over
+        exactly, and the two are not wrong alike.
+        """
+        straight, turned = (unfold(self(i).code, self.height) for i in (image, image.flip(-1)))
+        return lightmaps.decode((straight + mirrored_lightmaps(turned)) / 2)
 
     def encode(self, image: Tensor) -> tuple[Tensor, Tensor]:
         """z_lit (B, K, D) and normals (B, 3, S / 2, S / 2).

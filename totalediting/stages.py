@@ -109,8 +109,7 @@ class LightmapStage(_Shown):
         errors: dict[str, list[Tensor]] = {"light": [], "mean": [], "angle": [], "normal": []}
         picture = None
         for batch in self.validated(device):
-            code, normal = network(batch.image)
-            maps = illumination.unfold(code.clamp_min(0).expm1(), self.preset.lightmap_height)
+            maps, normal = self.network.lightmaps(batch.image), network(batch.image).normal
             known = self.known.to(device).expand_as(maps)
             errors["light"].append(metrics.lightmap_error(maps, batch.lightmaps))
             errors["mean"].append(metrics.lightmap_error(known, batch.lightmaps))
