@@ -78,7 +78,7 @@ train-demo: $(VENV)/.train
 	@# Exit code 1: a subject failed, which the others do without.
 	@$(BIN)/synthgen render render_jobs/train_demo.toml --out $(DATA) || [ $$? -eq 1 ]
 	@echo "== training the preset tiny in $(RUN) (so does this)"
-	@$(BIN)/totalediting train all $(DATA) --out $(RUN) --preset tiny --precision bf16-mixed
+	@$(BIN)/totalediting train all $(DATA) --out $(RUN) --preset tiny --precision auto
 	@echo "== measuring it on people that it has not seen"
 	@$(BIN)/totalediting evaluate $(RUN) $(DATA)
 	@$(BIN)/totalediting show $(RUN) $(DATA) --output $(RUN).png

@@ -160,7 +160,10 @@ def test_all_stages_in_order_and_the_joint_one_goes_on_from_them(
     assert said.returncode == 0, said.stderr
     assert "without lpips: lpips_alex: not here" in said.stdout
     assert "without identity: sface: not here" in said.stdout
+    assert "joint: PSNR" in said.stdout
     assert {p.name for p in (tmp_path / "run").iterdir()} == set(stages.STAGES)
+    other = totalediting(*run, "--steps", 2, "--workers", 0, "--seed", 1)
+    assert "seed = 0" in other.error
     alone = ["train", "joint", small_dataset, "--out", tmp_path / "other", "--batch", 1]
     assert "holds no trained model" in totalediting(*alone, "--workers", 0).error
 
@@ -170,6 +173,7 @@ def test_real_clips_are_trained_on_beside_synthetic_pairs(
 ) -> None:
     monkeypatch.setattr(perceptual, "fetch", _missing)
     monkeypatch.setattr(recognition, "fetch", _missing)
+    monkeypatch.setattr(torch, "get_num_threads", lambda: 1)  # no stages side by side
     for k in range(3):
         (tmp_path / "clips" / "one").mkdir(parents=True, exist_ok=True)
         Image.new("RGB", (40, 30), (60 * k, 90, 120)).save(tmp_path / "clips/one" / f"{k}.png")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import math
 import os
 import sys
@@ -120,7 +119,9 @@ def train(
     workers: Annotated[int, typer.Option(min=0, help="Processes that read data.")] = 1,
     device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
     devices: Annotated[int, typer.Option(min=1, help="How many of them.")] = 1,
-    precision: Annotated[str, typer.Option(help="32-true or bf16-mixed.")] = "32-true",
+    precision: Annotated[
+        str, typer.Option(help="32-true, bf16-mixed or auto: the faster one here.")
+    ] = "32-true",
     switches: Annotated[
         list[str] | None,
         typer.Option(
@@ -140,8 +141,8 @@ def train(
     """Train one stage of the model, or all. Running the same command again resumes."""
     names = ("tracker", "lightmaps", "reconstruct", "joint")
     _choice("STAGE", stage, (*names, "all"))
-    built = preset_with(preset, switches or [])
-    _choice("--precision", precision, ("32-true", "bf16-mixed"))
+    preset_with(preset, switches or [])
+    _choice("--precision", precision, ("32-true", "bf16-mixed", "auto"))
     _choice("--real-light", real_light, ("random", "same", "consistent"))
     if not 0 <= real_share <= 1:
         raise _error("--real-share", real_share, "give a number from 0 to 1, as 0.5")
@@ -151,45 +152,27 @@ def train(
         raise _error("--batch", batch, f"give a multiple of the {devices} devices")
     _device(device, devices)
 
-    import dataclasses
-
-    import torch
-
-    from totalediting import checkpoints, stages, training
-    from totalediting.joint import JointStage
+    from totalediting import runs, training
 
     given = {"steps": steps, "batch": batch, "learning_rate": learning_rate}
-    given = {name: value for name, value in given.items() if value is not None}
-    machine = training.Machine(device, devices, precision)  # pyright: ignore[reportArgumentType]
-    facts = {"preset": preset, "set": sorted(switches or []), "data": str(data.resolve())}
-    for name in names if stage == "all" else (stage,):
-        schedule = dataclasses.replace(stages.SCHEDULES[name], **given)
-        torch.manual_seed(seed)
-        for earlier in names if name == "joint" else ():
-            _check_preset(out / earlier, preset)
-        real, seen = None, {}
-        if clips is not None and name == "joint":
-            real = stages.real_clips(clips, out, built, seed, real_share, real_light)
-            seen = {"clips": str(clips.resolve()), "real": real_share, "real light": real_light}
-        made = stages.make(name, data, built, seed, workers, schedule.steps, real)
-        if isinstance(made, JointStage):
-            if checkpoints.latest(out / name) is None:
-                made.start_from(out)
-            for term, reason in made.off.items():
-                typer.echo(f"without {term}: {reason}")
-        try:
-            figures = training.train(made, out / name, schedule, seed, facts | seen, machine)
-        except OSError as error:
-            if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
-                raise
-            raise InputError(
-                f"{out / name}: cannot be written into ({error.strerror}); make room and run the "
-                "same command again: it goes on from the last checkpoint"
-            ) from None
-        for figure, value in figures.items():
-            typer.echo(f"{name}: {figure}: {value:.4g}")
-        for key, reason in made.skipped.items():
-            typer.echo(f"skipped {key}: {reason}")
+    precision = training.fastest_precision(device) if precision == "auto" else precision
+    order = runs.Order(
+        data=data,
+        run=out,
+        preset=preset,
+        switches=tuple(switches or ()),
+        schedule=tuple((name, value) for name, value in given.items() if value is not None),
+        seed=seed,
+        workers=workers,
+        machine=training.Machine(device, devices, precision),  # pyright: ignore[reportArgumentType]
+        clips=clips,
+        real_share=real_share,
+        real_light=real_light,
+    )
+    if stage == "all":
+        runs.train_all(order)
+    else:
+        runs.train_stage(stage, order)
 
 
 @app.command()
@@ -255,20 +238,6 @@ def _check_outputs(environment: Path, outputs: dict[str, Path]) -> None:
         if path.resolve() in taken:
             raise _error(option, path, f"is {taken[path.resolve()]} as well; give another name")
         taken[path.resolve()] = f"the file of {option}"
-
-
-def _check_preset(run: Path, preset: str) -> None:
-    """What was trained in `run`, if anything, has the sizes of `preset`."""
-    from totalediting import checkpoints
-
-    if checkpoints.best_step(run) is None:
-        return
-    before = checkpoints.read_config(run)["preset"]
-    if before != preset:
-        raise InputError(
-            f"{run}: was trained with preset = {before}, not {preset}; give --preset {before}, or "
-            "another --out"
-        )
 
 
 def _device(name: str, count: int = 1) -> torch.device:

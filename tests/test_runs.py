@@ -1,0 +1,74 @@
+"""Stages side by side: nothing lives on, and what each takes is known."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+import torch
+
+from totalediting import runs, stages
+from totalediting.training import fastest_precision
+
+PARENT = """
+import multiprocessing, sys, time
+from totalediting import runs
+
+def child(pid):
+    runs._begin(1)
+    pid.send(multiprocessing.current_process().pid)
+    time.sleep(600)
+
+if __name__ == "__main__":
+    context = multiprocessing.get_context("fork")
+    ours, theirs = context.Pipe()
+    context.Process(target=child, args=(theirs,)).start()
+    print(ours.recv(), flush=True)
+    time.sleep(600)
+"""
+
+
+def test_every_stage_is_trained_once_and_the_joint_one_last() -> None:
+    apart = [name for names in runs.APART for name in names]
+    assert sorted([*apart, "joint"]) == sorted(stages.STAGES)
+
+
+def test_a_training_process_does_not_outlive_its_parent() -> None:
+    """Else a killed run that is resumed would have two writers."""
+    with subprocess.Popen(
+        [sys.executable, "-c", PARENT], stdout=subprocess.PIPE, text=True
+    ) as parent:
+        assert parent.stdout is not None
+        child = int(parent.stdout.readline())
+        os.kill(child, 0)
+        parent.send_signal(signal.SIGKILL)
+    for _ in range(100):
+        if not _lives(child):
+            return
+        time.sleep(0.1)
+    os.kill(child, signal.SIGKILL)
+    pytest.fail("it lives on")
+
+
+def _lives(pid: int) -> bool:
+    """Whether a process runs; one that ended and that nobody waited for does not."""
+    try:
+        with open(f"/proc/{pid}/stat") as stat:
+            return stat.read().rsplit(")")[-1].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+@pytest.mark.parametrize(
+    ("can", "precision"),
+    [({"avx2": True}, "32-true"), ({"avx512_bf16": True}, "bf16-mixed"), ({}, "32-true")],
+)
+def test_bfloat16_is_for_processors_that_have_it(
+    monkeypatch: pytest.MonkeyPatch, can: dict[str, bool], precision: str
+) -> None:
+    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: can, raising=False)
+    assert fastest_precision("cpu") == precision
