@@ -105,11 +105,12 @@ class LightmapStage(_Shown):
         return metrics.mean_lightmaps(torch.cat(maps))
 
     def validate(self, network: nn.Module) -> tuple[float, dict[str, float], dict[str, Tensor]]:
-        device = next(network.parameters()).device
+        assert isinstance(network, LightmapEstimator)
+        device = network.light.device
         errors: dict[str, list[Tensor]] = {"light": [], "mean": [], "angle": [], "normal": []}
         picture = None
         for batch in self.validated(device):
-            maps, normal = self.network.lightmaps(batch.image), network(batch.image).normal
+            maps, (_, normal) = network.lightmaps(batch.image), network.encode(batch.image)
             known = self.known.to(device).expand_as(maps)
             errors["light"].append(metrics.lightmap_error(maps, batch.lightmaps))
             errors["mean"].append(metrics.lightmap_error(known, batch.lightmaps))
