@@ -1,4 +1,4 @@
-"""Stages side by side: nothing lives on, and what each takes is known."""
+"""Runs: every stage is trained, no process lives on, and precision is what the processor has."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from totalediting import runs, stages
 from totalediting.training import fastest_precision
 
 PARENT = """
-import multiprocessing, sys, time
+import multiprocessing, os, time
 from totalediting import runs
 
-def child(pid):
-    runs._begin(1)
-    pid.send(multiprocessing.current_process().pid)
+def child(parent):
+    runs._begin_process(1)
+    parent.send(os.getpid())
     time.sleep(600)
 
 if __name__ == "__main__":
@@ -33,8 +33,8 @@ if __name__ == "__main__":
 
 
 def test_every_stage_is_trained_once_and_the_joint_one_last() -> None:
-    apart = [name for names in runs.APART for name in names]
-    assert sorted([*apart, "joint"]) == sorted(stages.STAGES)
+    chained = [name for names in runs.CHAINS for name in names]
+    assert sorted([*chained, "joint"]) == sorted(stages.STAGES)
 
 
 def test_a_training_process_does_not_outlive_its_parent() -> None:

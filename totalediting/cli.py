@@ -156,12 +156,12 @@ def train(
 
     given = {"steps": steps, "batch": batch, "learning_rate": learning_rate}
     precision = training.fastest_precision(device) if precision == "auto" else precision
-    order = runs.Order(
+    settings = runs.RunSettings(
         data=data,
         run=out,
         preset=preset,
-        switches=tuple(switches or ()),
-        schedule=tuple((name, value) for name, value in given.items() if value is not None),
+        switches=switches or [],
+        schedule={name: value for name, value in given.items() if value is not None},
         seed=seed,
         workers=workers,
         machine=training.Machine(device, devices, precision),  # pyright: ignore[reportArgumentType]
@@ -170,9 +170,9 @@ def train(
         real_light=real_light,
     )
     if stage == "all":
-        runs.train_all(order)
+        runs.train_all(settings)
     else:
-        runs.train_stage(stage, order)
+        runs.train_stage(stage, settings)
 
 
 @app.command()

@@ -10,7 +10,7 @@ import errno
 import os
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from multiprocessing import active_children, get_context, parent_process
 from pathlib import Path
 from threading import Thread
@@ -24,78 +24,82 @@ from totalediting.joint import JointStage
 from totalediting.presets import preset_with
 from totalediting.training import Machine
 
-APART = (("tracker", "lightmaps"), ("reconstruct",))
-"""Stages that need nothing of the others' stages; `joint` goes on from all of them."""
+CHAINS = (("tracker", "lightmaps"), ("reconstruct",))
+"""Stages in order; a chain needs nothing of another, and `joint` goes on from all of them."""
 
 
 @dataclass(frozen=True)
-class Order:
-    """What is to be trained: any of the stages, with these settings."""
+class RunSettings:
+    """What is trained on, where, and how: the same for every stage of a run."""
 
     data: Path
     run: Path
     """A stage is trained in its folder of that name in it."""
     preset: str
-    switches: tuple[str, ...] = ()
+    switches: list[str]
     """Of the preset, see `presets.preset_with`."""
-    schedule: tuple[tuple[str, float], ...] = ()
+    schedule: dict[str, float]
     """Fields of `training.Schedule` that are not the stage's own."""
-    seed: int = 0
-    workers: int = 1
+    seed: int
+    workers: int
     """Processes that read data, of each stage."""
-    machine: Machine = field(default_factory=Machine)
-    clips: Path | None = None
+    machine: Machine
+    clips: Path | None
     """Real clips for the stage `joint`, with the share of its steps and their light."""
-    real_share: float = 0.5
-    real_light: str = "random"
+    real_share: float
+    real_light: str
 
 
-def train_all(order: Order) -> None:
+def train_all(settings: RunSettings) -> None:
     """Train all stages, or go on where they stopped; prints how it goes.
 
     Raises:
         InputError: see `train_stage`; the other stages stop where they are.
     """
-    threads = torch.get_num_threads() // len(APART)
-    if order.machine.device != "cpu" or order.machine.devices > 1 or not threads:
-        for names in APART:
-            _train(names, order)
+    threads = torch.get_num_threads() // len(CHAINS)
+    if settings.machine.device != "cpu" or settings.machine.devices > 1 or not threads:
+        for names in CHAINS:
+            _train_chain(names, settings)
     else:
-        _side_by_side(order, threads)
-    train_stage("joint", order)
+        _side_by_side(settings, threads)
+    train_stage("joint", settings)
 
 
-def train_stage(name: str, order: Order) -> None:
+def train_stage(name: str, settings: RunSettings) -> None:
     """Train one stage, or go on where it stopped; prints how it goes.
 
     Raises:
         InputError: no such dataset, one of another format, a split without shots; the folder holds
             another run; `joint` finds no trained model there; the disk is full.
     """
-    preset = preset_with(order.preset, list(order.switches))
-    schedule = replace(stages.SCHEDULES[name], **dict(order.schedule))  # pyright: ignore[reportArgumentType]
+    preset = preset_with(settings.preset, settings.switches)
+    schedule = replace(stages.SCHEDULES[name], **settings.schedule)  # pyright: ignore[reportArgumentType]
     facts: dict[str, Any] = {
-        "preset": order.preset,
-        "set": sorted(order.switches),
-        "data": str(order.data.resolve()),
+        "preset": settings.preset,
+        "set": sorted(settings.switches),
+        "data": str(settings.data.resolve()),
     }
-    folder, real = order.run / name, None
-    torch.manual_seed(order.seed)
+    folder, real = settings.run / name, None
+    torch.manual_seed(settings.seed)
     if name == "joint":
         for earlier in stages.STAGES:
-            _check_preset(order.run / earlier, order.preset)
-        if order.clips is not None:
-            share, light = order.real_share, order.real_light
-            real = stages.real_clips(order.clips, order.run, preset, order.seed, share, light)
-            facts |= {"clips": str(order.clips.resolve()), "real": share, "real light": light}
-    made = stages.make(name, order.data, preset, order.seed, order.workers, schedule.steps, real)
+            _check_preset(settings.run / earlier, settings.preset)
+        if settings.clips is not None:
+            share, light = settings.real_share, settings.real_light
+            real = stages.real_clips(
+                settings.clips, settings.run, preset, settings.seed, share, light
+            )
+            facts |= {"clips": str(settings.clips.resolve()), "real": share, "real light": light}
+    made = stages.make(
+        name, settings.data, preset, settings.seed, settings.workers, schedule.steps, real
+    )
     if isinstance(made, JointStage):
         if checkpoints.latest(folder) is None:
-            made.start_from(order.run)
+            made.start_from(settings.run)
         for term, reason in made.off.items():
             print(f"without {term}: {reason}", flush=True)
     try:
-        figures = training.train(made, folder, schedule, order.seed, facts, order.machine)
+        figures = training.train(made, folder, schedule, settings.seed, facts, settings.machine)
     except OSError as error:
         if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
             raise
@@ -109,16 +113,18 @@ def train_stage(name: str, order: Order) -> None:
         print(f"skipped {key}: {reason}", flush=True)
 
 
-def _train(names: tuple[str, ...], order: Order) -> None:
+def _train_chain(names: tuple[str, ...], settings: RunSettings) -> None:
     for name in names:
-        train_stage(name, order)
+        train_stage(name, settings)
 
 
-def _side_by_side(order: Order, threads: int) -> None:
+def _side_by_side(settings: RunSettings, threads: int) -> None:
     context = get_context("spawn")
-    with ProcessPoolExecutor(len(APART), context, _begin, (threads,)) as pool:
+    with ProcessPoolExecutor(len(CHAINS), context, _begin_process, (threads,)) as pool:
         try:
-            for done in as_completed([pool.submit(_train, names, order) for names in APART]):
+            for done in as_completed(
+                [pool.submit(_train_chain, names, settings) for names in CHAINS]
+            ):
                 done.result()
         except BaseException as error:  # the others need not finish
             for child in active_children():
@@ -126,12 +132,12 @@ def _side_by_side(order: Order, threads: int) -> None:
             if not isinstance(error, BrokenProcessPool):
                 raise
             raise InputError(
-                f"{order.run}: a process that trained was killed; if memory was short, give a "
+                f"{settings.run}: a process that trained was killed; if memory was short, give a "
                 "smaller --batch; the same command again goes on from the last checkpoints"
             ) from None
 
 
-def _begin(threads: int) -> None:
+def _begin_process(threads: int) -> None:
     """In a process of a pool: its share of the cores, and no life beyond its parent's."""
     torch.set_num_threads(threads)
     Thread(target=_end_with_parent, daemon=True).start()
