@@ -1,6 +1,7 @@
 """What more training people are worth to the lightmap estimator.
 
     python benchmarks/lightmap_subjects.py DATA UNSEEN [--subjects 25,50,100] [--steps 600]
+        [--device cpu]
 
 Trains the stage `lightmaps` of the preset tiny from scratch on the first so many people of DATA's
 training split, for the same number of steps each, and prints a Markdown table: the training loss of
@@ -44,8 +45,11 @@ def main() -> None:
     parser.add_argument("unseen", type=Path)
     parser.add_argument("--subjects", default="25,50,100")
     parser.add_argument("--steps", type=int, default=600)
+    parser.add_argument("--device", default="cpu", choices=("cpu", "cuda"))
     arguments = parser.parse_args()
     preset = PRESETS["tiny"]
+    device = arguments.device
+    machine = training.Machine(device, precision=training.fastest_precision(device))
     schedule = replace(stages.SCHEDULES["lightmaps"], steps=arguments.steps, save_every=10**9)
     print("| people | pictures | training loss | light / mean light | dominant light | normals |")
     print("|---|---|---|---|---|---|")
@@ -55,7 +59,6 @@ def main() -> None:
         stage.train = people  # pyright: ignore[reportAttributeAccessIssue]
         stage.judge_by(arguments.unseen, "test")
         with tempfile.TemporaryDirectory() as folder:
-            machine = training.Machine(precision=training.fastest_precision("cpu"))
             found = training.train(stage, Path(folder), schedule, 0, {}, machine)
             lines = (Path(folder) / "losses.jsonl").read_text().splitlines()[-100:]
         loss = np.mean([json.loads(line)["loss"] for line in lines])

@@ -53,6 +53,15 @@ def generator() -> torch.Generator:
     return torch.Generator().manual_seed(0)
 
 
+@pytest.fixture(params=["by neighbourhoods", "at once"])
+def way(request, monkeypatch) -> str:
+    """Both ways of one computation; "at once" is that of a GPU."""
+    for module in ("deformation", "field"):
+        name = f"totalediting.{module}.at_once"
+        monkeypatch.setattr(name, lambda _: request.param == "at once")
+    return request.param
+
+
 def around(generator: torch.Generator, count: int) -> Tensor:
     """Points (count, 3) in the bust's box, float64."""
     return LOW + (HIGH - LOW) * torch.rand(count, 3, generator=generator, dtype=torch.float64)
@@ -119,7 +128,7 @@ def test_control_points_are_interpolated_as_the_softening_vanishes(turned):
 
 
 @pytest.mark.parametrize("alpha", [1.0, 1.5, 2.0, 3.0])
-def test_the_fast_way_equals_the_equations(turned, generator, alpha):
+def test_the_fast_way_equals_the_equations(turned, generator, alpha, way):
     beside = turned.posed[::100] + 0.002 * torch.randn(55, 3, generator=generator).double()
     points = torch.cat([around(generator, 100), beside, turned.posed[:5]])
     position, rotation = mls_reference(points, turned, alpha)
@@ -212,7 +221,7 @@ def test_a_table_is_exact_at_its_nodes_and_extends_beyond_its_box():
     torch.testing.assert_close(outside - inside, torch.tensor([0.5, 0.0, 0.0]))
 
 
-def test_quaternions_agree_with_the_svd(generator):
+def test_quaternions_agree_with_the_svd(generator, way):
     moments = torch.randn(500, 3, 3, generator=generator, dtype=torch.float64)
     mirrored = moments.det() < 0
     assert 100 < mirrored.sum() < 400
@@ -222,7 +231,7 @@ def test_quaternions_agree_with_the_svd(generator):
 
 
 @pytest.mark.parametrize("case", ["mirrored", "plane", "line", "point", "one"])
-def test_rotations_are_proper_whatever_the_control_points(generator, case):
+def test_rotations_are_proper_whatever_the_control_points(generator, case, way):
     posed = torch.randn(50, 3, generator=generator, dtype=torch.float64)
     canonical = posed.clone()
     if case == "mirrored":
@@ -247,11 +256,11 @@ def test_rotations_are_proper_whatever_the_control_points(generator, case):
     torch.testing.assert_close(product, torch.eye(3).double().expand(200, 3, 3))
 
 
-def test_nothing_to_align_is_the_identity():
+def test_nothing_to_align_is_the_identity(way):
     assert torch.equal(quaternion_of(torch.zeros(3, 3)), torch.tensor([1.0, 0, 0, 0]).double())
 
 
-def test_far_away_points_are_finite(turned):
+def test_far_away_points_are_finite(turned, way):
     points = torch.tensor([[1e4, 0.0, 0.0], [0.0, -1e6, 3.0], [0.0, 0.0, 0.5]])
     single = Control(*(a.float() for a in turned))
     for field in (mls(points, single, alpha=4.0), mls(points, single, clusters=64)):

@@ -7,7 +7,8 @@ In the paper's form (Zhu & Gortler 2007), with weights w_i = (|V^t_i - p|^2 + ep
 is the rigid motion that takes the posed control points V^t to the canonical V^c in the weighted
 least-squares sense, and R(p) the rotation that takes the posed normals N^t to the canonical N^c.
 Both need only weighted sums of 25 products per control point, so all points of a neighbourhood cost
-two matrix products; each rotation is an eigenvector of a 4x4 matrix.
+two matrix products; each rotation is an eigenvector of a 4x4 matrix. On a GPU all points are one
+neighbourhood: there it is the number of operations that takes time, not their size.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from torch import Tensor
 from totalediting.field import (
     Control,
     Field,
+    at_once,
     batched,
     cells,
     check_control,
@@ -35,6 +37,7 @@ CLUSTERS = 256
 
 _OPENING = 2.0  # a cluster is far beyond this many of its own radii
 _PAIRS = 1 << 20  # weights at once, which bounds the memory: 4 MB in single precision
+_PAIRS_AT_ONCE = 1 << 24  # the same where all points are one neighbourhood: 128 MB in double
 _SOLVED = 1 << 14  # points whose rotations are found at once
 
 
@@ -50,7 +53,7 @@ def mls(
 
     Leading dimensions of points and control points must be equal. With `clusters`, control points
     are put into that many groups, and a group acts from its centroid where it is farther than twice
-    its radius. Memory does not grow with P or V beyond the result.
+    its radius; on a GPU it is exact. Memory does not grow with P or V beyond the result.
 
     Raises:
         ValueError: shapes that do not fit, NaN or Inf, normals that are not unit, alpha outside
@@ -64,6 +67,8 @@ def mls(
         raise ValueError(f"epsilon must be positive, got {epsilon}")
     if clusters is not None and clusters < 1:
         raise ValueError(f"clusters must be at least 1, got {clusters}")
+    if at_once(points):
+        return batched(points, control, lambda p, c: _mls_at_once(p, c, alpha, epsilon))
     return batched(points, control, lambda p, c: _mls(p, c, alpha, epsilon, clusters))
 
 
@@ -104,6 +109,22 @@ def _mls(
         if sum(len(index) for index, _ in waiting) >= _SOLVED:
             _solve(points, sources.origin, waiting, field)
     _solve(points, sources.origin, waiting, field)
+    return field
+
+
+def _mls_at_once(points: Tensor, control: Control, alpha: float, epsilon: float) -> Field:
+    """Exact `mls` for points (P, 3) and control points (V, 3), in float64 and few operations."""
+    field = Field(torch.empty_like(points), points.new_empty(len(points), 4))
+    sources = _Sources(control, None)
+    place = control.posed.double() - sources.origin
+    about = points.double() - sources.origin
+    size = max(1, _PAIRS_AT_ONCE // len(place))
+    sums = [
+        _weights(part, place, alpha, epsilon, epsilon) @ sources.columns
+        for part in about.split(size)
+    ]
+    everything = torch.arange(len(points), device=points.device)
+    _solve(points, sources.origin, [(everything, torch.cat(sums))], field)
     return field
 
 
