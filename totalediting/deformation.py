@@ -13,6 +13,8 @@ neighbourhood: there it is the number of operations that takes time, not their s
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import torch
 from torch import Tensor
 
@@ -67,8 +69,6 @@ def mls(
         raise ValueError(f"epsilon must be positive, got {epsilon}")
     if clusters is not None and clusters < 1:
         raise ValueError(f"clusters must be at least 1, got {clusters}")
-    if at_once(points):
-        return batched(points, control, lambda p, c: _mls_at_once(p, c, alpha, epsilon))
     return batched(points, control, lambda p, c: _mls(p, c, alpha, epsilon, clusters))
 
 
@@ -93,9 +93,26 @@ def _mls(
     points: Tensor, control: Control, alpha: float, epsilon: float, clusters: int | None
 ) -> Field:
     """`mls` for points (P, 3) and control points (V, 3)."""
+    if at_once(points):
+        sources = _Sources(control, None)
+        found = _sums_at_once(points, sources, alpha, epsilon)
+    else:
+        sources = _Sources(control, clusters)
+        found = _sums(points, sources, alpha, epsilon)
     field = Field(torch.empty_like(points), points.new_empty(len(points), 4))
-    sources = _Sources(control, clusters)
     waiting: list[tuple[Tensor, Tensor]] = []
+    for part in found:
+        waiting.append(part)
+        if sum(len(index) for index, _ in waiting) >= _SOLVED:
+            _solve(points, sources.origin, waiting, field)
+    _solve(points, sources.origin, waiting, field)
+    return field
+
+
+def _sums(
+    points: Tensor, sources: _Sources, alpha: float, epsilon: float
+) -> Iterator[tuple[Tensor, Tensor]]:
+    """Places among the points, and their weighted sums (P', 25), by neighbourhoods."""
     for index, centre, reach in cells(points):
         place, columns = sources.seen_from(centre, reach)
         # Weights relative to those at this distance stay within single precision everywhere.
@@ -105,27 +122,18 @@ def _mls(
             _weights(part - centre, place, alpha, epsilon, scale).double() @ columns
             for part in points[index].split(max(1, _PAIRS // len(place)))
         ]
-        waiting.append((index, torch.cat(sums)))
-        if sum(len(index) for index, _ in waiting) >= _SOLVED:
-            _solve(points, sources.origin, waiting, field)
-    _solve(points, sources.origin, waiting, field)
-    return field
+        yield index, torch.cat(sums)
 
 
-def _mls_at_once(points: Tensor, control: Control, alpha: float, epsilon: float) -> Field:
-    """Exact `mls` for points (P, 3) and control points (V, 3), in float64 and few operations."""
-    field = Field(torch.empty_like(points), points.new_empty(len(points), 4))
-    sources = _Sources(control, None)
-    place = control.posed.double() - sources.origin
-    about = points.double() - sources.origin
+def _sums_at_once(
+    points: Tensor, sources: _Sources, alpha: float, epsilon: float
+) -> Iterator[tuple[Tensor, Tensor]]:
+    """The same in few operations: as one neighbourhood, for which it takes float64 throughout."""
+    place = sources.place.double() - sources.origin
     size = max(1, _PAIRS_AT_ONCE // len(place))
-    sums = [
-        _weights(part, place, alpha, epsilon, epsilon) @ sources.columns
-        for part in about.split(size)
-    ]
-    everything = torch.arange(len(points), device=points.device)
-    _solve(points, sources.origin, [(everything, torch.cat(sums))], field)
-    return field
+    for index in torch.arange(len(points), device=points.device).split(size):
+        part = points[index].double() - sources.origin
+        yield index, _weights(part, place, alpha, epsilon, epsilon) @ sources.columns
 
 
 def _solve(
