@@ -54,12 +54,11 @@ def generator() -> torch.Generator:
 
 
 @pytest.fixture(params=["by neighbourhoods", "at once"])
-def way(request, monkeypatch) -> str:
+def way(request, monkeypatch) -> None:
     """Both ways of one computation; "at once" is that of a GPU."""
     for module in ("deformation", "field"):
         name = f"totalediting.{module}.at_once"
         monkeypatch.setattr(name, lambda _: request.param == "at once")
-    return request.param
 
 
 def around(generator: torch.Generator, count: int) -> Tensor:

@@ -93,15 +93,12 @@ def _mls(
     points: Tensor, control: Control, alpha: float, epsilon: float, clusters: int | None
 ) -> Field:
     """`mls` for points (P, 3) and control points (V, 3)."""
-    if at_once(points):
-        sources = _Sources(control, None)
-        found = _sums_at_once(points, sources, alpha, epsilon)
-    else:
-        sources = _Sources(control, clusters)
-        found = _sums(points, sources, alpha, epsilon)
+    whole = at_once(points)
+    sources = _Sources(control, None if whole else clusters)
+    sums = (_sums_at_once if whole else _sums_nearby)(points, sources, alpha, epsilon)
     field = Field(torch.empty_like(points), points.new_empty(len(points), 4))
     waiting: list[tuple[Tensor, Tensor]] = []
-    for part in found:
+    for part in sums:
         waiting.append(part)
         if sum(len(index) for index, _ in waiting) >= _SOLVED:
             _solve(points, sources.origin, waiting, field)
@@ -109,7 +106,7 @@ def _mls(
     return field
 
 
-def _sums(
+def _sums_nearby(
     points: Tensor, sources: _Sources, alpha: float, epsilon: float
 ) -> Iterator[tuple[Tensor, Tensor]]:
     """Places among the points, and their weighted sums (P', 25), by neighbourhoods."""
@@ -128,7 +125,7 @@ def _sums(
 def _sums_at_once(
     points: Tensor, sources: _Sources, alpha: float, epsilon: float
 ) -> Iterator[tuple[Tensor, Tensor]]:
-    """The same in few operations: as one neighbourhood, for which it takes float64 throughout."""
+    """The same in few operations: one neighbourhood, so wide that all of it is in float64."""
     place = sources.place.double() - sources.origin
     size = max(1, _PAIRS_AT_ONCE // len(place))
     for index in torch.arange(len(points), device=points.device).split(size):

@@ -198,10 +198,11 @@ def top_eigenvector(matrix: Tensor) -> Tensor:
 
     As `torch.linalg.eigh`'s, by repeated squaring, which takes all matrices in step. Shifted until
     it has no negative eigenvalue, a matrix squared `_SQUARINGS` times is of rank one, unless its
-    largest eigenvalues agree in all digits: then any column is an eigenvector of theirs.
+    largest eigenvalues agree in more than ten digits: then any column is an eigenvector of theirs.
     """
     power = matrix / matrix.abs().amax((-2, -1), keepdim=True)
-    power = power + matrix.shape[-1] * torch.eye(matrix.shape[-1]).to(power)
+    size = matrix.shape[-1]
+    power = power + size * torch.eye(size).to(power)
     for _ in range(_SQUARINGS):
         power = power @ power
         power = power / power.diagonal(dim1=-2, dim2=-1).sum(-1)[..., None, None]
