@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -23,7 +24,7 @@ from rich.progress import Progress
 from assets_procedural import panorama
 from synthgen import ledger, manifest, publish
 from synthgen.atomic import sha256
-from synthgen.farm import local, run, worker
+from synthgen.farm import local, progress, run, worker
 from synthgen.farm.local import render_job
 from synthgen.plan import subject_key
 from synthgen.verify import verify
@@ -67,6 +68,19 @@ def test_a_finished_dataset_is_tidy_and_true(whole: Path):
     assert status.complete
     assert status.frames == (5 * 4 + 3 * 6, 5 * 4 + 3 * 6)
     assert [s.done for s in status.subsets] == [5, 3]
+
+
+def test_a_log_gets_lines_of_progress(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    render(tmp_path / "quick", job=ONE)  # within a minute there is nothing to say
+    monkeypatch.setattr(progress, "_LINE_EVERY", 0.0)
+    assert capsys.readouterr().err == ""
+    render(tmp_path / "out", job=ONE)
+    lines = capsys.readouterr().err.splitlines()
+    begun = "rendering: 0 of 20 frames, "
+    assert lines[0] in (begun + "starting workers", begun + "first subjects")
+    assert re.fullmatch(r"rendering: \d+ of 20 frames, [\d.]+ frames/s, \d+ s left", lines[-1])
 
 
 def test_the_number_of_workers_changes_nothing(whole: Path, tmp_path: Path):

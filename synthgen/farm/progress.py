@@ -1,4 +1,4 @@
-"""The progress of a run: a bar for people, a note for `synthgen status`."""
+"""The progress of a run: a bar or lines for people, a note for `synthgen status`."""
 
 from __future__ import annotations
 
@@ -18,20 +18,37 @@ if TYPE_CHECKING:
     from synthgen.farm.run import Run
 
 
-@contextlib.contextmanager
-def bar(run: Run) -> Iterator[Callable[[], None]]:
-    """A bar with rate and time left; nothing at all when the output is not a terminal."""
-    if not sys.stderr.isatty():
-        yield lambda: None
-        return
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+_LINE_EVERY = 60.0  # seconds
 
+
+@contextlib.contextmanager
+def shown(run: Run) -> Iterator[Callable[[], None]]:
+    """Show rate and time left when called: as a bar, in a log as a line a minute, on stderr."""
     total = sum(
         len(s.subjects) * (spec.shots * spec.environments)
         for s in run.shards
         for spec in [run.plan.job.subsets[s.subset]]
     )
     before = frames_done(run.out, run.plan, run.shards)
+
+    def done() -> int:
+        return before + run.summary.frames
+
+    def pace() -> str:
+        new, elapsed = run.summary.frames, time.time() - run.started
+        ready = any(slot.ready for slot in run.slots.values())
+        text = "first subjects" if ready else "starting workers"
+        if new:
+            left = (total - before - new) * elapsed / new
+            text = f"{new / elapsed:.2f} frames/s, {console.duration(left)} left"
+        bad = len(ledger.failures(run.out)) if run.streak else 0
+        return text + (f", {bad} failed" if bad else "")
+
+    if not sys.stderr.isatty():
+        yield _lines(lambda: f"rendering: {done():,} of {total:,} frames, {pace()}")
+        return
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
     columns = (
         TextColumn("[bold]{task.description}"),
         BarColumn(),
@@ -39,21 +56,22 @@ def bar(run: Run) -> Iterator[Callable[[], None]]:
         TextColumn("{task.fields[note]}"),
         TimeElapsedColumn(),
     )
-    with Progress(*columns, console=console.stderr()) as shown:
-        task = shown.add_task("rendering", total=total, completed=before, note="starting workers")
+    with Progress(*columns, console=console.stderr()) as bar:
+        task = bar.add_task("rendering", total=total, completed=before, note="starting workers")
+        yield lambda: bar.update(task, completed=done(), note=pace())
 
-        def advance() -> None:
-            done = run.summary.frames
-            elapsed = time.time() - run.started
-            text = "starting workers" if not any(s.ready for s in run.slots.values()) else ""
-            if done:
-                left = (total - before - done) * elapsed / done
-                text = f"{done / elapsed:.2f} frames/s, {console.duration(left)} left"
-            bad = len(ledger.failures(run.out)) if run.streak else 0
-            text += f", {bad} failed" if bad else ""
-            shown.update(task, completed=before + done, note=text)
 
-        yield advance
+def _lines(text: Callable[[], str]) -> Callable[[], None]:
+    """Prints `text` when it is called, at most every `_LINE_EVERY` seconds."""
+    last = time.monotonic()
+
+    def advance() -> None:
+        nonlocal last
+        if time.monotonic() - last >= _LINE_EVERY:
+            last = time.monotonic()
+            print(text(), file=sys.stderr, flush=True)
+
+    return advance
 
 
 def note(run: Run) -> None:

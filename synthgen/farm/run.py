@@ -81,7 +81,7 @@ class Run:
         tasks = self._tasks()
         handed = 0
         try:
-            with progress.bar(self) as advance:
+            with progress.shown(self) as advance:
                 while True:
                     while sum(s.task is not None for s in self.slots.values()) < self.workers:
                         # After a failure another subject first: if it fails too, it may be the
