@@ -26,7 +26,7 @@ from totalediting import (
 )
 from totalediting import joint as joint_stage
 from totalediting.clips import ClipPair
-from totalediting.data import MIRRORED
+from totalediting.data import MIRRORED, PortraitPairs
 from totalediting.field import Control, Table
 from totalediting.identity import faces_of
 from totalediting.joint import JointStage, RealClips
@@ -328,11 +328,20 @@ def _missing(name: str, path: object = None) -> Path:
     raise NetworkError(f"{name}: not here")
 
 
+def test_a_page_shows_as_many_people_as_it_can(small_dataset: Path) -> None:
+    pairs = PortraitPairs(small_dataset, PRESETS["tiny"], "train")
+    people = sorted(set(pairs.shots.subjects))
+    for count in (2, 99):
+        shown = [s.key.split("_")[0] for s in showcase.of_different_people(pairs, count)]
+        assert len(shown) == len(set(shown)) == min(count, len(people))
+    assert sorted(shown) == people
+
+
 def test_a_trained_run_is_shown(totalediting: Run, small_dataset: Path, tmp_path: Path) -> None:
     for stage in ("lightmaps", "reconstruct"):
         run = ["train", stage, small_dataset, "--out", tmp_path / "run", "--batch", 1]
         assert totalediting(*run, "--steps", 1, "--workers", 0).returncode == 0
-    page = showcase.draw(tmp_path / "run", small_dataset, tmp_path / "page.png", 2, "validation")
+    page = showcase.draw(tmp_path / "run", small_dataset, tmp_path / "page.png", 2, "train")
     with Image.open(page) as picture:
         assert picture.width > 11 * 128 and picture.height > 2 * 128
     figures = totalediting("evaluate", tmp_path / "run", small_dataset, "--split", "validation")

@@ -1,8 +1,8 @@
 """A page of what a trained run does: sources, result, truth and decomposition of held-out people.
 
-A row is a pair of pictures of one person who was not trained on. The light that is given is that of
-the driver's panorama; "seen light" is what the lightmap estimator makes of the driver's picture, in
-the driver's camera's frame, where the run has one.
+A row is a pair of pictures of one person who was not trained on, each row of another. The light
+that is given is that of the driver's panorama; "seen light" is what the lightmap estimator makes of
+the driver's picture, in the driver's camera's frame, where the run has one.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from torch.nn import functional
 
 from assets_procedural.panorama import replacing
 from totalediting import checkpoints, metrics, phong
-from totalediting.data import PortraitPairs
+from totalediting.data import PortraitPairs, Sample
 from totalediting.identity import faces_of
 from totalediting.illumination import LightmapEstimator
 from totalediting.joint import Joint
@@ -81,8 +81,7 @@ def draw(run: Path, data: Path, target: Path, rows: int = 6, split: str = "test"
     """
     model, estimator = load_model(run), load_estimator(run)
     pairs = PortraitPairs(data, model.preset, split, seed=1)
-    count = min(rows, len(pairs))
-    batch = collate([pairs[k] for k in range(count)])
+    batch = collate(of_different_people(pairs, rows))
     edit = edit_of(model, batch, None)
     columns: dict[str, Tensor] = {
         "source": batch.app_image,
@@ -98,6 +97,18 @@ def draw(run: Path, data: Path, target: Path, rows: int = 6, split: str = "test"
     alone = metrics.psnr(batch.app_image, batch.mot_image, batch.alpha)
     title = f"PSNR {float(score.mean()):.1f} dB; of the source itself {float(alone.mean()):.1f} dB"
     return _page(columns, title, target)
+
+
+def of_different_people(pairs: PortraitPairs, count: int) -> list[Sample]:
+    """A sample each of `count` subjects, or of all where there are fewer."""
+    subject_of = dict(zip(pairs.keys, pairs.shots.subjects, strict=True))
+    found: dict[str, Sample] = {}
+    for number in range(len(pairs)):
+        sample = pairs[number]
+        found.setdefault(subject_of[sample.key], sample)
+        if len(found) == count:
+            break
+    return list(found.values())
 
 
 def _light(maps: Tensor) -> Tensor:
