@@ -102,12 +102,13 @@ def draw(run: Path, data: Path, target: Path, rows: int = 6, split: str = "test"
 def of_different_people(pairs: PortraitPairs, count: int) -> list[Sample]:
     """A sample each of `count` subjects, or of all where there are fewer."""
     subject_of = dict(zip(pairs.keys, pairs.shots.subjects, strict=True))
+    people = min(count, len(set(subject_of.values())))
     found: dict[str, Sample] = {}
     for number in range(len(pairs)):
+        if len(found) == people:
+            break
         sample = pairs[number]
         found.setdefault(subject_of[sample.key], sample)
-        if len(found) == count:
-            break
     return list(found.values())
 
 
