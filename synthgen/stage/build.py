@@ -20,6 +20,8 @@ from assets_procedural.subdivision import Subdivision, catmull_clark
 from synthgen.stage import materials
 from synthgen.stage.hair_colour import strand_colours
 
+_NOT_UNIFORM = 1 + 2e-6  # the least that Cycles tells from 1, twice
+
 
 @dataclass(frozen=True)
 class Figure:
@@ -84,7 +86,11 @@ def _build_strands(piece: StrandPiece) -> bpy.types.Object:
     _attribute(curves, "radius", "FLOAT", "POINT", piece.radius)
     _attribute(curves, "colour", "FLOAT_COLOR", "CURVE", strand_colours(piece))
     curves.materials.append(materials.hair(piece.parameters.get("roughness", 0.3), piece.part))
-    return _link(curves)
+    object_ = _link(curves)
+    # Cycles lays strands that are scaled evenly into the scene's search tree, which it builds anew
+    # for every light and view; others keep a tree of their own. It is half a micrometre on a head.
+    object_.scale = (1.0, 1.0, _NOT_UNIFORM)
+    return object_
 
 
 def _mesh(

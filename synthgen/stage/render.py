@@ -64,8 +64,6 @@ def render_subject(
             linear = _beauty(subject, job, environments, taken, cameras)
         scene.set_mode("labels", job.samples)
         for shot in taken:
-            if shot is taken[-1]:
-                scene.forget_after_next()
             camera = cameras[shot.key]
             with clock("labels"):
                 scene.set_camera(camera)
@@ -74,6 +72,7 @@ def render_subject(
                 shots[shot.key] = compose_shot(
                     subject, shot, job, environments, camera, bust, linear[shot.key], labels
                 )
+        scene.forget()
     share = {name: seconds / len(subject.shots) for name, seconds in clock.seconds.items()}
     for shot in shots.values():
         shot.cost = dict(share)

@@ -152,8 +152,8 @@ def keep() -> None:
     bpy.context.scene.render.use_persistent_data = True
 
 
-def forget_after_next() -> None:
-    """Free Cycles' scene after the next render.
+def forget() -> None:
+    """Free Cycles' scene.
 
     Moved geometry is then built anew: updating it in place leaves the last bits of the light to
     chance, and the same job must give the same bytes.
@@ -170,9 +170,10 @@ def set_mode(mode: Mode, samples: int) -> None:
     scene.render.use_compositing = not labels
     scene.cycles.filter_width = 0.01 if labels else 1.5
     scene.cycles.max_bounces = 0 if labels else 6
+    # Hidden from the camera, not taken out: Cycles would build the strands' search trees anew.
     for clear in bpy.data.objects:
         if clear.get("hidden_from_labels"):
-            clear.hide_render = labels
+            clear.visible_camera = not labels
 
 
 def shoot_beauty(seed: int) -> np.ndarray:
