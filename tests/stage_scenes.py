@@ -197,8 +197,14 @@ def bare_head(folder: Path) -> dict[str, np.ndarray]:
 
 
 def dressed(folder: Path, light: str) -> list:
-    """The shots of a dressed, bearded person in two poses and two views under one light."""
+    """The shots of a dressed, bearded person in two poses and two views under one light.
+
+    What Cycles says of it is in `folder`, in `<light>.log`.
+    """
+    from synthgen.farm.worker import redirect
     from synthgen.stage.render import render_subject
+
+    redirect(folder / f"{light}.log")
 
     person = Person(
         phenotypes={"gender": 0.1},

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 import stage_scenes as scenes
@@ -68,6 +70,11 @@ def test_depth_and_normals_lie_on_the_evaluated_mesh(blender, lights):
     first = mesh.ray.intersects_location(origins, ray, multiple_hits=False)
     gap = np.linalg.norm(first[0] - points[first[1]], axis=1)
     assert np.quantile(gap, 0.99) < 0.0005
+
+
+def test_strands_are_sorted_once_a_pose_not_for_every_view_and_label_render(shots, lights):
+    log = (lights / "gradient.log").read_text()
+    assert len(re.findall(r"Geometry BVH hair \d+/\d+ \| Building BVH$", log, re.MULTILINE)) == 2
 
 
 def test_visible_landmarks_land_on_their_canonical_coordinates(shots):

@@ -77,7 +77,7 @@ def test_a_single_batch_is_learnt_by_heart(small_dataset: Path, kind: type) -> N
         loss.backward()
         optimiser.step()
         curve.append(loss.item())
-    assert curve[-1] < 0.3 * curve[0]
+    assert min(curve) < 0.2 * curve[0]  # the last one hops about: nothing slows the steps down
 
 
 def test_batches_follow_from_the_step_alone(small_dataset: Path) -> None:

@@ -190,7 +190,7 @@ class HeadTracker(nn.Module):
             )
         small = functional.interpolate(image, (_SIDE, _SIDE), mode="bilinear", antialias=True)
         seen = torch.cat([2 * small - 1, self.xy.to(image).expand(len(image), -1, -1, -1)], 1)
-        fine = self.fine(seen)
+        fine = self.fine(seen.contiguous(memory_format=torch.channels_last))
         coarse = self.coarse(fine)
         found = self._place(fine, coarse)
         face = found.detach() if face is None else face
@@ -224,7 +224,7 @@ class HeadTracker(nn.Module):
         laid = functional.grid_sample(
             image, grid.to(image), padding_mode="border", align_corners=False
         )
-        return 2 * laid - 1
+        return (2 * laid - 1).contiguous(memory_format=torch.channels_last)
 
     def _place(self, fine: Tensor, coarse: Tensor) -> Tensor:
         """(B, 10) of the five points: the mean place of a map of probability each."""
