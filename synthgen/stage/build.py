@@ -20,7 +20,7 @@ from assets_procedural.subdivision import Subdivision, catmull_clark
 from synthgen.stage import materials
 from synthgen.stage.hair_colour import strand_colours
 
-_NOT_UNIFORM = 1 + 2e-6  # the least that Cycles tells from 1, twice
+_NOT_UNIFORM = 1 + 2e-6
 
 
 @dataclass(frozen=True)
