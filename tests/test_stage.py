@@ -72,7 +72,7 @@ def test_depth_and_normals_lie_on_the_evaluated_mesh(blender, lights):
     assert np.quantile(gap, 0.99) < 0.0005
 
 
-def test_strands_are_sorted_once_a_pose_not_for_every_view_and_label_render(shots, lights):
+def test_the_bvh_of_strands_is_built_once_a_pose_not_for_every_view_and_label_render(shots, lights):
     log = (lights / "gradient.log").read_text()
     assert len(re.findall(r"Geometry BVH hair \d+/\d+ \| Building BVH$", log, re.MULTILINE)) == 2
 

@@ -190,12 +190,13 @@ class HeadTracker(nn.Module):
             )
         small = functional.interpolate(image, (_SIDE, _SIDE), mode="bilinear", antialias=True)
         seen = torch.cat([2 * small - 1, self.xy.to(image).expand(len(image), -1, -1, -1)], 1)
-        # Channels last: a step takes a seventh less time on a CPU.
-        fine = self.fine(seen.contiguous(memory_format=torch.channels_last))
+        last = torch.channels_last  # a step takes a seventh less time on a CPU
+        fine = self.fine(seen.contiguous(memory_format=last))
         coarse = self.coarse(fine)
         found = self._place(fine, coarse)
         face = found.detach() if face is None else face
-        features = {"face": self.face(self.lay_out(small, face)), "picture": coarse.flatten(1)}
+        laid = self.lay_out(small, face).contiguous(memory_format=last)
+        features = {"face": self.face(laid), "picture": coarse.flatten(1)}
         fields = {
             name: head(torch.cat([features[source] for source in _SOURCES[name]], -1))
             for name, head in self.heads.items()
@@ -225,7 +226,7 @@ class HeadTracker(nn.Module):
         laid = functional.grid_sample(
             image, grid.to(image), padding_mode="border", align_corners=False
         )
-        return (2 * laid - 1).contiguous(memory_format=torch.channels_last)
+        return 2 * laid - 1
 
     def _place(self, fine: Tensor, coarse: Tensor) -> Tensor:
         """(B, 10) of the five points: the mean place of a map of probability each."""

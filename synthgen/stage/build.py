@@ -20,8 +20,6 @@ from assets_procedural.subdivision import Subdivision, catmull_clark
 from synthgen.stage import materials
 from synthgen.stage.hair_colour import strand_colours
 
-_NOT_UNIFORM = 1 + 2e-6
-
 
 @dataclass(frozen=True)
 class Figure:
@@ -87,9 +85,9 @@ def _build_strands(piece: StrandPiece) -> bpy.types.Object:
     _attribute(curves, "colour", "FLOAT_COLOR", "CURVE", strand_colours(piece))
     curves.materials.append(materials.hair(piece.parameters.get("roughness", 0.3), piece.part))
     object_ = _link(curves)
-    # Cycles lays strands that are scaled evenly into the scene's search tree, which it builds anew
-    # for every light and view; others keep a tree of their own. It is half a micrometre on a head.
-    object_.scale = (1.0, 1.0, _NOT_UNIFORM)
+    # Cycles puts strands of uniform scale into the scene's BVH, which it builds anew for every
+    # light and view; others keep a BVH of their own. This is half a micrometre on a head.
+    object_.scale = (1.0, 1.0, 1 + 2e-6)
     return object_
 
 

@@ -170,7 +170,7 @@ def set_mode(mode: Mode, samples: int) -> None:
     scene.render.use_compositing = not labels
     scene.cycles.filter_width = 0.01 if labels else 1.5
     scene.cycles.max_bounces = 0 if labels else 6
-    # Hidden from the camera, not taken out: Cycles would build the strands' search trees anew.
+    # Hidden from the camera, not taken out: Cycles would build the strands' BVH anew.
     for clear in bpy.data.objects:
         if clear.get("hidden_from_labels"):
             clear.visible_camera = not labels
