@@ -36,9 +36,9 @@ _MISPLACED = 0.01  # frames that a point of the face is off by, in training as w
 _STATIC = 0.25  # share of the stage `reconstruct` before pairs differ in motion
 
 SCHEDULES = {
-    "tracker": Schedule(steps=3200, batch=8, learning_rate=5e-4),
-    "lightmaps": Schedule(steps=3600, batch=8, learning_rate=1.5e-3),
-    "reconstruct": Schedule(steps=920, batch=4, learning_rate=8e-4),
+    "tracker": Schedule(steps=2000, batch=8, learning_rate=5e-4),
+    "lightmaps": Schedule(steps=3400, batch=8, learning_rate=1.5e-3),
+    "reconstruct": Schedule(steps=700, batch=4, learning_rate=8e-4),
     "joint": Schedule(steps=60, batch=4, learning_rate=2e-4, warmup=20),
 }
 """Of the preset `tiny`: what two cores with AVX2 alone have time for in `make train-demo`."""
