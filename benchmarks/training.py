@@ -256,8 +256,9 @@ def alone(name: str, data: Path, preset: str, batch: int, *others: Any) -> Found
         with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
             return pool.submit(measure, name, data, preset, batch, *others).result()
     except (BrokenProcessPool, torch.OutOfMemoryError):
+        remedy = "give fewer" if batch > 1 else "take a smaller preset"
         raise InputError(
-            f"--batch: {batch}: {name} of the preset {preset} does not fit in memory; give fewer"
+            f"--batch: {batch}: {name} of the preset {preset} does not fit in memory; {remedy}"
         ) from None
 
 

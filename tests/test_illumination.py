@@ -8,7 +8,14 @@ import pytest
 import torch
 
 from totalediting import illumination, lightmaps, phong
-from totalediting.illumination import LightmapEstimator, fold, sphere, texel_weights, unfold
+from totalediting.illumination import (
+    Illumination,
+    LightmapEstimator,
+    fold,
+    sphere,
+    texel_weights,
+    unfold,
+)
 from totalediting.mirroring import mirrored_lightmaps
 from totalediting.presets import PRESETS
 
@@ -32,7 +39,7 @@ def test_every_preset_gives_maps_and_normals(name: str) -> None:
     with torch.device("meta"):
         estimator = LightmapEstimator(preset)
         image = torch.empty(2, 3, preset.image, preset.image)
-        maps = estimator.lightmaps(image)
+        maps = unfold(estimator(image).code, preset.lightmap_height)
         code, normal = estimator(image, torch.zeros(7, dtype=torch.long))
     rows = preset.lightmap_height
     assert maps.shape == (2, 5, 3, rows, 2 * rows)
@@ -58,13 +65,38 @@ def test_a_mirror_image_is_in_mirrored_light(estimator, image) -> None:
     assert not torch.allclose(maps, mirrored_lightmaps(maps), atol=1e-3)
 
 
-def test_of_a_symmetric_picture_the_maps_are_the_mean_of_the_answer_and_its_mirror_image(
-    estimator, image
+def test_at_one_glance_the_maps_are_the_mean_of_the_answer_and_its_mirror_image(
+    estimator, image, monkeypatch
 ) -> None:
+    monkeypatch.setattr(illumination, "_GLANCES", ((0.0, 0.0),))
     image = (image + image.flip(-1)) / 2
     answer = unfold(estimator(image).code, TINY.lightmap_height)
     mean = (answer + mirrored_lightmaps(answer)) / 2
     torch.testing.assert_close(estimator.lightmaps(image), lightmaps.decode(mean))
+
+
+def test_a_tilted_glance_finds_light_where_it_is(estimator, image) -> None:
+    """Of an estimator that sees light where the picture is bright, by its four sides: however the
+    camera is rolled, it finds the same light, in the upright picture's frame."""
+    towards = lightmaps.texel_directions(TINY.lightmap_height)
+    x, y = towards[..., 0], towards[..., 1]
+
+    def answer(image: torch.Tensor) -> Illumination:
+        top, bottom = (part.mean((2, 3)) for part in image.chunk(2, 2))
+        left, right = (part.mean((2, 3)) for part in image.chunk(2, 3))
+        sides = ((right, x), (left, -x), (top, y), (bottom, -y))
+        light = sum(shown[..., None, None] * d.clamp_min(0) for shown, d in sides)
+        return Illumination(fold(light.log1p()[:, None].expand(-1, 5, -1, -1, -1)), image)
+
+    image[:, :, :40], image[:, :, :, 64:] = 0, 0.5
+    estimator.forward = answer
+    upright, tilted, over = (
+        estimator._glance(image, *torch.tensor([roll, 0.0])) for roll in (0.0, math.pi / 2, math.pi)
+    )
+    torch.testing.assert_close(upright, unfold(answer(image).code, len(x)))
+    torch.testing.assert_close(over, upright, atol=1e-4, rtol=0)
+    torch.testing.assert_close(tilted, upright, atol=0.02, rtol=0)  # texels between texels
+    assert (upright - upright.flip(-1)).abs().max() > 0.1
 
 
 def test_lobes_are_those_that_lightmaps_are_baked_with(estimator) -> None:

@@ -39,7 +39,7 @@ def jittered(
         return scale[:, None] * (places.unflatten(-1, (-1, 2)) @ turn.mT).flatten(1)
 
     more = torch.stack([zero, zero, roll], -1)
-    return _resampled(image, roll, log_scale), truth._replace(
+    return seen(image, roll, log_scale), truth._replace(
         camera_yaw_pitch_roll=truth.camera_yaw_pitch_roll + more,
         log_focal=truth.log_focal + log_scale[:, None],
         log_fill=truth.log_fill + log_scale[:, None],
@@ -58,10 +58,8 @@ def jittered_light(
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """The same of pictures, their normals (B, 3, S, S) in camera space, alpha (B, 1, S, S) and
     lightmaps (B, 5, 3, h, 2h) in the camera's frame, which turn with the camera."""
-    cosine, sine, zero = roll.cos(), roll.sin(), torch.zeros_like(roll)
-    rows = [cosine, -sine, zero, sine, cosine, zero, zero, zero, zero + 1]
-    old = torch.stack(rows, -1).unflatten(-1, (3, 3))  # from the new camera's axes
-    whole = _resampled(torch.cat([image, normal, alpha], 1), roll, log_scale)
+    old = axes(roll)
+    whole = seen(torch.cat([image, normal, alpha], 1), roll, log_scale)
     image, normal, alpha = whole.split([3, 3, 1], 1)
     normal = (old.mT @ normal.flatten(2)).view_as(normal)
     return image, normal, alpha, rotate(lightmaps, old)
@@ -83,7 +81,14 @@ def photographed(image: Tensor) -> Tensor:
     return (image + _NOISE * noise.abs() * torch.randn_like(image)).clamp(0, 1)
 
 
-def _resampled(picture: Tensor, roll: Tensor, log_scale: Tensor) -> Tensor:
+def axes(roll: Tensor) -> Tensor:
+    """(B, 3, 3) from the axes of cameras rolled by `roll` more (B,) to those before."""
+    cosine, sine, zero = roll.cos(), roll.sin(), torch.zeros_like(roll)
+    rows = [cosine, -sine, zero, sine, cosine, zero, zero, zero, zero + 1]
+    return torch.stack(rows, -1).unflatten(-1, (3, 3))
+
+
+def seen(picture: Tensor, roll: Tensor, log_scale: Tensor) -> Tensor:
     """What the jittered camera sees of a picture (B, C, S, S)."""
     cosine, sine, zero = roll.cos(), roll.sin(), torch.zeros_like(roll)
     back = torch.stack([cosine, sine, zero, -sine, cosine, zero], -1) / log_scale.exp()[:, None]

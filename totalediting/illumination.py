@@ -26,7 +26,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from totalediting import lightmaps, phong
+from totalediting import camera_jitter, lightmaps, phong
 from totalediting.blocks import (
     Attention,
     FeedForward,
@@ -43,6 +43,8 @@ from totalediting.presets import Preset
 
 _PATCH = 8  # pixels along a side that a token is of
 _DARK = 0.02  # linear light below which a logarithm tells little
+_GLANCES = ((0.0, 0.0), (0.15, 0.0), (-0.15, 0.0), (0.0, 0.1), (0.0, -0.1))
+"""Rolls and logarithms of scales that `LightmapEstimator.lightmaps` looks at a picture in."""
 
 
 class Illumination(NamedTuple):
@@ -110,11 +112,21 @@ class LightmapEstimator(nn.Module):
     def lightmaps(self, image: Tensor) -> Tensor:
         """Lightmaps (B, 5, 3, H, 2H), linear, of pictures (B, 3, S, S).
 
-        The mean, as log(1 + light), of what picture and mirror image say: a mirror turns light over
-        exactly, and the two are not wrong alike.
+        The mean, as log(1 + light), of what the picture says as it is, rolled and scaled a little,
+        and of what its mirror image says: rolls and mirrors turn light exactly, and the answers are
+        not wrong alike.
         """
+        found = [self._glance(image, *image.new_tensor(glance)) for glance in _GLANCES]
+        return lightmaps.decode(torch.stack(found).mean(0))
+
+    def _glance(self, image: Tensor, roll: Tensor, log_scale: Tensor) -> Tensor:
+        """log(1 + light) (B, 5, 3, H, 2H) in the picture's frame, found in it as another camera
+        would have taken it."""
+        roll, log_scale = (x.expand(len(image)) for x in (roll, log_scale))
+        image = camera_jitter.seen(image, roll, log_scale)
         straight, turned = (unfold(self(i).code, self.height) for i in (image, image.flip(-1)))
-        return lightmaps.decode((straight + mirrored_lightmaps(turned)) / 2)
+        light = lightmaps.decode((straight + mirrored_lightmaps(turned)) / 2)
+        return lightmaps.encode(lightmaps.rotate(light, camera_jitter.axes(roll).mT))
 
     def encode(self, image: Tensor) -> tuple[Tensor, Tensor]:
         """z_lit (B, K, D) and normals (B, 3, S / 2, S / 2).
