@@ -65,17 +65,17 @@ def test_a_mirror_image_is_in_mirrored_light(estimator, image) -> None:
     assert not torch.allclose(maps, mirrored_lightmaps(maps), atol=1e-3)
 
 
-def test_at_one_glance_the_maps_are_the_mean_of_the_answer_and_its_mirror_image(
+def test_without_rolls_and_scales_the_maps_are_the_mean_of_the_answer_and_its_mirror_image(
     estimator, image, monkeypatch
 ) -> None:
-    monkeypatch.setattr(illumination, "_GLANCES", ((0.0, 0.0),))
+    monkeypatch.setattr(illumination, "_AUGMENTATIONS", ((0.0, 0.0),))
     image = (image + image.flip(-1)) / 2
     answer = unfold(estimator(image).code, TINY.lightmap_height)
     mean = (answer + mirrored_lightmaps(answer)) / 2
     torch.testing.assert_close(estimator.lightmaps(image), lightmaps.decode(mean))
 
 
-def test_a_tilted_glance_finds_light_where_it_is(estimator, image) -> None:
+def test_in_a_rolled_picture_light_is_found_where_it_is(estimator, image) -> None:
     """Of an estimator that sees light where the picture is bright, by its four sides: however the
     camera is rolled, it finds the same light, in the upright picture's frame."""
     towards = lightmaps.texel_directions(TINY.lightmap_height)
@@ -91,7 +91,7 @@ def test_a_tilted_glance_finds_light_where_it_is(estimator, image) -> None:
     image[:, :, :40], image[:, :, :, 64:] = 0, 0.5
     estimator.forward = answer
     upright, tilted, over = (
-        estimator._glance(image, *torch.tensor([roll, 0.0])) for roll in (0.0, math.pi / 2, math.pi)
+        estimator._augmented(image, roll, 0.0) for roll in (0.0, math.pi / 2, math.pi)
     )
     torch.testing.assert_close(upright, unfold(answer(image).code, len(x)))
     torch.testing.assert_close(over, upright, atol=1e-4, rtol=0)

@@ -31,15 +31,14 @@ def jittered(
 
     Beyond the old picture's border its outermost pixels go on.
     """
-    cosine, sine, scale = roll.cos(), roll.sin(), log_scale.exp()
-    zero = torch.zeros_like(roll)
-    turn = torch.stack([cosine, sine, -sine, cosine], -1).unflatten(-1, (2, 2))
+    zero, scale = torch.zeros_like(roll), log_scale.exp()
+    old = rolled_axes(roll)[:, :2, :2]
 
     def moved(places: Tensor) -> Tensor:
-        return scale[:, None] * (places.unflatten(-1, (-1, 2)) @ turn.mT).flatten(1)
+        return scale[:, None] * (places.unflatten(-1, (-1, 2)) @ old).flatten(1)
 
     more = torch.stack([zero, zero, roll], -1)
-    return seen(image, roll, log_scale), truth._replace(
+    return resampled(image, roll, log_scale), truth._replace(
         camera_yaw_pitch_roll=truth.camera_yaw_pitch_roll + more,
         log_focal=truth.log_focal + log_scale[:, None],
         log_fill=truth.log_fill + log_scale[:, None],
@@ -58,8 +57,8 @@ def jittered_light(
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """The same of pictures, their normals (B, 3, S, S) in camera space, alpha (B, 1, S, S) and
     lightmaps (B, 5, 3, h, 2h) in the camera's frame, which turn with the camera."""
-    old = axes(roll)
-    whole = seen(torch.cat([image, normal, alpha], 1), roll, log_scale)
+    old = rolled_axes(roll)
+    whole = resampled(torch.cat([image, normal, alpha], 1), roll, log_scale)
     image, normal, alpha = whole.split([3, 3, 1], 1)
     normal = (old.mT @ normal.flatten(2)).view_as(normal)
     return image, normal, alpha, rotate(lightmaps, old)
@@ -81,17 +80,15 @@ def photographed(image: Tensor) -> Tensor:
     return (image + _NOISE * noise.abs() * torch.randn_like(image)).clamp(0, 1)
 
 
-def axes(roll: Tensor) -> Tensor:
+def rolled_axes(roll: Tensor) -> Tensor:
     """(B, 3, 3) from the axes of cameras rolled by `roll` more (B,) to those before."""
     cosine, sine, zero = roll.cos(), roll.sin(), torch.zeros_like(roll)
     rows = [cosine, -sine, zero, sine, cosine, zero, zero, zero, zero + 1]
     return torch.stack(rows, -1).unflatten(-1, (3, 3))
 
 
-def seen(picture: Tensor, roll: Tensor, log_scale: Tensor) -> Tensor:
+def resampled(picture: Tensor, roll: Tensor, log_scale: Tensor) -> Tensor:
     """What the jittered camera sees of a picture (B, C, S, S)."""
-    cosine, sine, zero = roll.cos(), roll.sin(), torch.zeros_like(roll)
-    back = torch.stack([cosine, sine, zero, -sine, cosine, zero], -1) / log_scale.exp()[:, None]
-    size = list(picture.shape)
-    grid = functional.affine_grid(back.unflatten(-1, (2, 3)), size, align_corners=False)
+    back = rolled_axes(roll)[:, :, :2].mT / log_scale.exp()[:, None, None]
+    grid = functional.affine_grid(back, list(picture.shape), align_corners=False)
     return functional.grid_sample(picture, grid, padding_mode="border", align_corners=False)

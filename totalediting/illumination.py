@@ -43,8 +43,8 @@ from totalediting.presets import Preset
 
 _PATCH = 8  # pixels along a side that a token is of
 _DARK = 0.02  # linear light below which a logarithm tells little
-_GLANCES = ((0.0, 0.0), (0.15, 0.0), (-0.15, 0.0), (0.0, 0.1), (0.0, -0.1))
-"""Rolls and logarithms of scales that `LightmapEstimator.lightmaps` looks at a picture in."""
+_AUGMENTATIONS = ((0.0, 0.0), (0.15, 0.0), (-0.15, 0.0), (0.0, 0.1), (0.0, -0.1))
+"""Rolls, radians, and logarithms of scales that `LightmapEstimator.lightmaps` averages over."""
 
 
 class Illumination(NamedTuple):
@@ -112,21 +112,21 @@ class LightmapEstimator(nn.Module):
     def lightmaps(self, image: Tensor) -> Tensor:
         """Lightmaps (B, 5, 3, H, 2H), linear, of pictures (B, 3, S, S).
 
-        The mean, as log(1 + light), of what the picture says as it is, rolled and scaled a little,
-        and of what its mirror image says: rolls and mirrors turn light exactly, and the answers are
-        not wrong alike.
+        The mean, as log(1 + light), over test-time augmentations: the picture as it is, rolled and
+        scaled a little, and its mirror images. Rolls and mirrors turn light exactly, and the
+        answers are not wrong alike.
         """
-        found = [self._glance(image, *image.new_tensor(glance)) for glance in _GLANCES]
+        found = [self._augmented(image, *by) for by in _AUGMENTATIONS]
         return lightmaps.decode(torch.stack(found).mean(0))
 
-    def _glance(self, image: Tensor, roll: Tensor, log_scale: Tensor) -> Tensor:
-        """log(1 + light) (B, 5, 3, H, 2H) in the picture's frame, found in it as another camera
-        would have taken it."""
-        roll, log_scale = (x.expand(len(image)) for x in (roll, log_scale))
-        image = camera_jitter.seen(image, roll, log_scale)
+    def _augmented(self, image: Tensor, by_roll: float, by_log_scale: float) -> Tensor:
+        """log(1 + light) (B, 5, 3, H, 2H) in the picture's frame, found in the picture and its
+        mirror image as a rolled camera with a longer lens would have taken them."""
+        roll, log_scale = (image.new_full((len(image),), x) for x in (by_roll, by_log_scale))
+        image = camera_jitter.resampled(image, roll, log_scale)
         straight, turned = (unfold(self(i).code, self.height) for i in (image, image.flip(-1)))
         light = lightmaps.decode((straight + mirrored_lightmaps(turned)) / 2)
-        return lightmaps.encode(lightmaps.rotate(light, camera_jitter.axes(roll).mT))
+        return lightmaps.encode(lightmaps.rotate(light, camera_jitter.rolled_axes(roll).mT))
 
     def encode(self, image: Tensor) -> tuple[Tensor, Tensor]:
         """z_lit (B, K, D) and normals (B, 3, S / 2, S / 2).
