@@ -350,6 +350,8 @@ def main() -> None:
     parser.add_argument("--whole", action="store_true", help="time the naive way on all samples")
     parser.add_argument("--picture", type=Path, default=Path("docs/deformation.jpg"))
     options = parser.parse_args()
+    if options.device == "cuda" and not torch.cuda.is_available():
+        parser.error("--device: cuda: PyTorch finds no CUDA device here; use --device cpu")
     parts = {
         "necks": necks,
         "speed": lambda: speed(options.device, options.whole),

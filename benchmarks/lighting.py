@@ -286,6 +286,8 @@ def main() -> None:
         "--panorama", choices=sorted(BUNDLED), default="city", help="that times are taken with"
     )
     options = parser.parse_args()
+    if options.device == "cuda" and not torch.cuda.is_available():
+        parser.error("--device: cuda: PyTorch finds no CUDA device here; use --device cpu")
     environments = bundled().to(options.device)
     truths = exactness(environments)
     look_ups(environments, truths.amax((2, 3)))

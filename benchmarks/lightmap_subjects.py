@@ -18,6 +18,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import torch
 
 from totalediting import stages, training
 from totalediting.numbered import Numbered
@@ -47,6 +48,8 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=600)
     parser.add_argument("--device", default="cpu", choices=("cpu", "cuda"))
     arguments = parser.parse_args()
+    if arguments.device == "cuda" and not torch.cuda.is_available():
+        parser.error("--device: cuda: PyTorch finds no CUDA device here; use --device cpu")
     preset = PRESETS["tiny"]
     device = arguments.device
     machine = training.Machine(device, precision=training.fastest_precision(device))

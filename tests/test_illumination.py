@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -19,7 +20,7 @@ from totalediting.illumination import (
 from totalediting.mirroring import mirrored_lightmaps
 from totalediting.presets import PRESETS
 
-TINY = PRESETS["tiny"]
+TINY = replace(PRESETS["tiny"], lightmap_height=8)
 
 
 @pytest.fixture
@@ -54,7 +55,7 @@ def test_fold_and_unfold_are_inverse() -> None:
 
 
 def test_some_queries_are_answered_as_all_are(estimator, image) -> None:
-    texels = torch.tensor([0, 700, estimator.queries - 1])
+    texels = torch.tensor([0, 300, estimator.queries - 1])
     whole, some = estimator(image), estimator(image, texels)
     torch.testing.assert_close(some.code, whole.code[:, texels])
 

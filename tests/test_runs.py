@@ -11,7 +11,7 @@ import time
 import pytest
 import torch
 
-from totalediting import runs, stages
+from totalediting import cli, runs, stages
 from totalediting.training import fastest_precision
 
 PARENT = """
@@ -72,3 +72,16 @@ def test_bfloat16_is_for_processors_that_have_it(
 ) -> None:
     monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: can, raising=False)
     assert fastest_precision("cpu") == precision
+
+
+@pytest.mark.parametrize("can", [True, False])
+def test_who_asks_a_processor_for_bfloat16_that_it_emulates_is_told(
+    monkeypatch: pytest.MonkeyPatch, run_main, can: bool
+) -> None:
+    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: {"avx512_bf16": can}, raising=False)
+    monkeypatch.setattr(runs, "train_stage", lambda stage, settings: None)
+    said = run_main(
+        *(cli.main, "train", "tracker", "DATA", "--out", "RUN", "--precision", "bf16-mixed")
+    )
+    assert said.returncode == 0
+    assert ("--precision: bf16-mixed: this processor emulates" in said.stderr) is not can

@@ -155,7 +155,11 @@ def train(
     from totalediting import runs, training
 
     given = {"steps": steps, "batch": batch, "learning_rate": learning_rate}
-    precision = training.fastest_precision(device) if precision == "auto" else precision
+    fastest = training.fastest_precision(device)
+    precision = fastest if precision == "auto" else precision
+    if precision != "32-true" and fastest == "32-true":
+        slow = "this processor emulates bfloat16, which takes many times as long; auto is faster"
+        typer.echo(f"--precision: {precision}: {slow}", err=True)
     settings = runs.RunSettings(
         data=data,
         run=out,
