@@ -93,7 +93,7 @@ lint: $(VENV)/.dev
 
 test: setup lint
 	@echo "== tests (pytest)"
-	@$(BIN)/pytest
+	@$(BIN)/pytest --numprocesses auto --maxprocesses 4 --dist loadfile
 
 # Debian's Chromium brings the libraries that it needs; Playwright's own does for other systems. Where
 # neither can be had, the tests are skipped and say so.
