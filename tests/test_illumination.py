@@ -20,7 +20,7 @@ from totalediting.illumination import (
 from totalediting.mirroring import mirrored_lightmaps
 from totalediting.presets import PRESETS
 
-TINY = replace(PRESETS["tiny"], lightmap_height=8)
+TINY = replace(PRESETS["tiny"], lightmap_height=8)  # few queries, for speed
 
 
 @pytest.fixture

@@ -157,7 +157,7 @@ def train(
     given = {"steps": steps, "batch": batch, "learning_rate": learning_rate}
     fastest = training.fastest_precision(device)
     precision = fastest if precision == "auto" else precision
-    if precision != "32-true" and fastest == "32-true":
+    if precision == "bf16-mixed" and fastest == "32-true":
         slow = "this processor emulates bfloat16, which takes many times as long; auto is faster"
         typer.echo(f"--precision: {precision}: {slow}", err=True)
     settings = runs.RunSettings(
