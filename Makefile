@@ -57,7 +57,7 @@ $(VENV)/.dev: $(VENV)/.render
 
 $(VENV)/.head: $(VENV)/.render
 	@echo "== preparing the head model (about a minute, once)"
-	@$(BIN)/python -c 'from assets_procedural.head import HeadModel; HeadModel.load()'
+	@$(BIN)/python -c 'from assets_procedural.body.head import HeadModel; HeadModel.load()'
 	@touch $@
 
 benchmark-setup: setup

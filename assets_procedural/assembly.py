@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from assets_procedural import accessories, eyes, facial_hair, hair, mouth, wardrobe
-from assets_procedural.head import Identity
-from assets_procedural.person import Person
-from assets_procedural.piece import Piece
+from assets_procedural.body import eyes, mouth
+from assets_procedural.body.head import Identity
+from assets_procedural.body.piece import Piece
+from assets_procedural.hair import facial_hair, scalp_hair
+from assets_procedural.outfit import accessories, tops
+from assets_procedural.people.person import Person
 
 
 def pieces(person: Person, identity: Identity) -> list[Piece]:
@@ -18,9 +20,9 @@ def pieces(person: Person, identity: Identity) -> list[Piece]:
     return [
         *eyes.eyes(person, identity),
         *mouth.mouth(person, identity),
-        *wardrobe.wardrobe(person, identity),
+        *tops.wardrobe(person, identity),
         *accessories.accessories(person, identity),
-        *hair.scalp_hair(person, identity, scalp),
+        *scalp_hair.scalp_hair(person, identity, scalp),
         *facial_hair.brows(person, identity, brows),
         *facial_hair.lashes(person, identity, brows),
         *facial_hair.beard(person, identity, beard),

@@ -1,4 +1,5 @@
-"""The two building blocks of every settings model: a strict base class and a bounded interval."""
+"""Base classes of all plain data: `Settings` of a job, `Parameters` of what a job draws, and
+bounded intervals."""
 
 from __future__ import annotations
 
@@ -7,6 +8,12 @@ from pydantic import AfterValidator, BaseModel, ConfigDict
 
 class Settings(BaseModel):
     """Immutable, and an unknown key is an error: a misspelt setting must not pass silently."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Parameters(BaseModel):
+    """Immutable plain data that goes to JSON and back without loss."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 

@@ -28,7 +28,7 @@ from typing import Any
 
 import duckdb
 
-from synthgen.columns import schema
+from synthgen.dataset.columns import schema
 
 VIEWS, LIGHTS = 10, 2
 ENVIRONMENTS = [f"sky_{i:04d}" for i in range(40)] + [f"studio_{i:04d}" for i in range(20)]

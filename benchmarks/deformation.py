@@ -24,12 +24,12 @@ import torch
 from PIL import Image, ImageDraw
 from torch import Tensor
 
-from assets_procedural.head import Bust, HeadModel
-from assets_procedural.motion import Pose
-from assets_procedural.person import Person
-from totalediting.deformation import ALPHA, CLUSTERS, mls
-from totalediting.field import Control, Field, tabulate
-from totalediting.surface_field import surface_field
+from assets_procedural.body.head import Bust, HeadModel
+from assets_procedural.motion.poses import Pose
+from assets_procedural.people.person import Person
+from totalediting.geometry.field import Control, Field, tabulate
+from totalediting.geometry.moving_least_squares import ALPHA, CLUSTERS, mls
+from totalediting.geometry.surface_field import surface_field
 
 POSES = {
     "yaw 35°": {"head": (0.0, 0.0, math.radians(35))},

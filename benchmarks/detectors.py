@@ -20,9 +20,9 @@ from pathlib import Path
 import numpy as np
 
 from synthgen.dataset import open_dataset
-from synthgen.ledger import StorageError
-from synthgen.shot import camera_of
-from totalediting.weights import NetworkError, fetch
+from synthgen.dataset.ledger import StorageError
+from synthgen.dataset.shot import camera_of
+from totalediting.pretrained.fetch import NetworkError, fetch
 
 # MediaPipe's face mesh at iBUG's 68 landmarks and the two pupils (right, left).
 MEDIAPIPE_70 = np.array(

@@ -23,9 +23,9 @@ import numpy as np
 import torch
 from scipy.special import lpmv
 
-from assets_procedural import panorama
-from assets_procedural.environment import BUNDLED, EnvironmentSettings, panorama_of, pool
-from totalediting.lightmaps import (
+from assets_procedural.conventions import panorama
+from assets_procedural.light.pool import BUNDLED, EnvironmentSettings, panorama_of, pool
+from totalediting.light.lightmaps import (
     LOBE_INTEGRALS,
     SHININESS,
     bake,

@@ -20,11 +20,11 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from totalediting import stages, training
-from totalediting.numbered import Numbered
-from totalediting.portraits import Portrait, Portraits
+from totalediting.data.endless import Numbered
+from totalediting.data.portraits import Portrait, Portraits
 from totalediting.presets import PRESETS
-from totalediting.stages import LightmapStage
+from totalediting.training import loop, stages
+from totalediting.training.stages import LightmapStage
 
 
 class FirstPeople(Numbered[Portrait]):
@@ -52,7 +52,7 @@ def main() -> None:
         parser.error("--device: cuda: PyTorch finds no CUDA device here; use --device cpu")
     preset = PRESETS["tiny"]
     device = arguments.device
-    machine = training.Machine(device, precision=training.fastest_precision(device))
+    machine = loop.Machine(device, precision=loop.fastest_precision(device))
     schedule = replace(stages.SCHEDULES["lightmaps"], steps=arguments.steps, save_every=10**9)
     print("| people | pictures | training loss | light / mean light | dominant light | normals |")
     print("|---|---|---|---|---|---|")
@@ -62,7 +62,7 @@ def main() -> None:
         stage.train = people  # pyright: ignore[reportAttributeAccessIssue]
         stage.judge_by(arguments.unseen, "test")
         with tempfile.TemporaryDirectory() as folder:
-            found = training.train(stage, Path(folder), schedule, 0, {}, machine)
+            found = loop.train(stage, Path(folder), schedule, 0, {}, machine)
             lines = (Path(folder) / "losses.jsonl").read_text().splitlines()[-100:]
         loss = np.mean([json.loads(line)["loss"] for line in lines])
         light, angle, normal = found.values()

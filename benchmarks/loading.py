@@ -19,9 +19,9 @@ from pathlib import Path
 import torch
 
 from synthgen.dataset import open_dataset
-from totalediting.data import PortraitPairs
-from totalediting.numbered import Numbered, loader
-from totalediting.portraits import Portraits
+from totalediting.data.endless import Numbered, loader
+from totalediting.data.pairs import PortraitPairs
+from totalediting.data.portraits import Portraits
 from totalediting.presets import PRESETS
 
 WARM = 8  # samples

@@ -18,15 +18,15 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from totalediting import checkpoints, metrics
-from totalediting.data import PortraitPairs, Sample
-from totalediting.frontal import frontalise
+from totalediting.data.endless import loader
+from totalediting.data.pairs import PortraitPairs, Sample
+from totalediting.geometry.frontal import frontalise
 from totalediting.model import TotalEditing
-from totalediting.numbered import loader
-from totalediting.perceptual import Lpips
-from totalediting.reconstruction import edit_of
-from totalediting.showcase import load_model
-from totalediting.weights import NetworkError
+from totalediting.pretrained.fetch import NetworkError
+from totalediting.pretrained.lpips import Lpips
+from totalediting.training import checkpoints, metrics
+from totalediting.training.reconstruction import edit_of
+from totalediting.training.showcase import load_model
 
 AT_ONCE = 8  # pairs
 

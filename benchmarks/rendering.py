@@ -30,9 +30,9 @@ def measure(index: int, resolution: int) -> dict[str, float]:
     import bpy
 
     from assets_procedural.assembly import pieces
-    from assets_procedural.head import HeadModel
-    from synthgen.camera import resolve
-    from synthgen.shards import encode
+    from assets_procedural.body.head import HeadModel
+    from assets_procedural.conventions.camera import resolve
+    from synthgen.dataset.shards import encode
     from synthgen.stage import render, scene
     from synthgen.stage.build import build_figure, pose_figure
     from synthgen.stage.geometry import frame_of_head
@@ -99,9 +99,9 @@ def measure(index: int, resolution: int) -> dict[str, float]:
 def fidelity(index: int, resolution: int, reference: int) -> list[float]:
     """PSNR in dB of each entry of SAMPLES against `reference` samples, both denoised."""
     from assets_procedural.assembly import pieces
-    from assets_procedural.head import HeadModel
-    from synthgen.camera import resolve
-    from synthgen.display import display
+    from assets_procedural.body.head import HeadModel
+    from assets_procedural.conventions.camera import resolve
+    from assets_procedural.conventions.colour import display
     from synthgen.stage import photograph, scene
     from synthgen.stage.build import build_figure, pose_figure
     from synthgen.stage.geometry import frame_of_head
@@ -136,9 +136,9 @@ def fidelity(index: int, resolution: int, reference: int) -> list[float]:
 
 def _subject(index: int, resolution: int):
     """The `index`-th subject of a fixed job, and a folder with its environments."""
-    from assets_procedural.environment import pool, write_pool
-    from synthgen.job import JobSpec, SubsetSpec
-    from synthgen.plan import plan
+    from assets_procedural.light.pool import pool, write_pool
+    from synthgen.planning.job import JobSpec, SubsetSpec
+    from synthgen.planning.plan import plan
 
     subset = SubsetSpec(kind="multiview", subjects=100, environments=2, views=1)
     job = JobSpec(name="benchmark", resolution=resolution, subsets={"multiview": subset})

@@ -41,15 +41,17 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from assets_procedural.motion import ARKIT_NAMES
-from assets_procedural.person import Person
-from totalediting import checkpoints, shots
+from assets_procedural.motion.poses import ARKIT_NAMES
+from assets_procedural.people.person import Person
+from totalediting.data import shots
+from totalediting.data.shots import Shots
 from totalediting.errors import InputError
-from totalediting.identity import identity_basis
-from totalediting.motion import HeadTracker, Tracking
-from totalediting.shots import Shots
-from totalediting.tracked import camera_of
-from totalediting.weights import NetworkError, fetch
+from totalediting.geometry.identity import identity_basis
+from totalediting.geometry.rig import camera_of
+from totalediting.geometry.tracking import Tracking
+from totalediting.networks.head_tracker import HeadTracker
+from totalediting.pretrained.fetch import NetworkError, fetch
+from totalediting.training import checkpoints
 
 AT_ONCE = 16  # pictures
 MOST_USED = 10  # expression coefficients of their own row

@@ -35,10 +35,10 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from totalediting import stages
+from totalediting.data.endless import to_device
 from totalediting.errors import InputError
-from totalediting.numbered import to_device
 from totalediting.presets import PRESETS
+from totalediting.training import stages
 
 WARM = 2  # steps
 SAMPLES = 8  # that are made to time one
@@ -225,7 +225,7 @@ def one_step(
     batches: Iterator[Any],
     step: int,
 ) -> dict[tuple[str, bool], float]:
-    """A step as in `totalediting.training`; its seconds by piece."""
+    """A step as in `totalediting.training.loop`; its seconds by piece."""
     torch.manual_seed(step)
     timeline.start()
     batch = to_device(next(batches), next(stage.network.parameters()).device)

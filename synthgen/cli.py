@@ -12,7 +12,7 @@ from synthgen import console
 from synthgen.farm import DEFAULT_RENDERER
 
 if TYPE_CHECKING:
-    from assets_procedural.environment import EnvironmentSpec
+    from assets_procedural.light.pool import EnvironmentSpec
 
 app = typer.Typer(
     help="Render portrait datasets of synthetic people, with exact labels, under many lights.",
@@ -62,15 +62,15 @@ def plan(
     renderer: Renderer = DEFAULT_RENDERER,
 ) -> None:
     """Say what a job amounts to: subjects, shots, frames, bytes, core-hours, machines."""
-    from synthgen import calibration, preflight
-    from synthgen.estimate import estimate, report
-    from synthgen.job import load_job
+    from synthgen.farm import calibration, preflight
+    from synthgen.farm.estimate import estimate, report
+    from synthgen.planning.job import load_job
 
     spec = load_job(job, overrides or ())
     hours = None if within is None else preflight.parse_duration(within)
     the_plan, _ = preflight.make_plan(spec, job)
     if calibrate:
-        from synthgen.measure import measure
+        from synthgen.farm.measure import measure
 
         preflight.check_device(device)
         with console.progress() as progress:
@@ -112,9 +112,9 @@ def render(
     renderer: Renderer = DEFAULT_RENDERER,
 ) -> None:
     """Render a job. Running the same command again resumes."""
-    from synthgen import preflight
+    from synthgen.farm import preflight
     from synthgen.farm.local import render_job
-    from synthgen.job import load_job
+    from synthgen.planning.job import load_job
 
     slice_ = preflight.parse_shard(shard)
     spec = load_job(job, overrides or ())
@@ -153,7 +153,7 @@ def status(out: Dataset) -> None:
     """Say what is done, running and failed; works while rendering."""
     from rich.table import Table
 
-    from synthgen import ledger
+    from synthgen.dataset import ledger
 
     state = ledger.status(out)
     screen = console.stdout()
@@ -187,7 +187,7 @@ def status(out: Dataset) -> None:
 @app.command()
 def verify(out: Dataset) -> None:
     """Check every shard against every promise; exit code 1 and a list if anything is off."""
-    from synthgen.verify import verify as check
+    from synthgen.publish.verify import verify as check
 
     problems = check(out)
     screen = console.stdout()
@@ -209,10 +209,10 @@ def show(
     ] = None,
 ) -> None:
     """Draw one shot with all its passes and environments; prints the picture's path."""
-    from synthgen import pictures
+    from synthgen.pictures import shot_sheet
 
     target = output or _beside(out, f"-{key.replace('/', '-')}.png")
-    typer.echo(pictures.show(out, key, target, subset=subset))
+    typer.echo(shot_sheet.show(out, key, target, subset=subset))
 
 
 @app.command()
@@ -226,7 +226,7 @@ def sheet(
     ] = False,
 ) -> None:
     """Draw a contact sheet of a dataset; prints the picture's path."""
-    from synthgen import sheet as drawing
+    from synthgen.pictures import sheet as drawing
 
     draw = drawing.portraits if portraits else drawing.sheet
     typer.echo(draw(out, output or _beside(out, ".png")))
@@ -241,8 +241,8 @@ def rerender(
     threads: Threads = 1,
 ) -> None:
     """Render one shot again from what the dataset records, and report the difference."""
-    from synthgen import preflight
-    from synthgen.rerender import rerender as again
+    from synthgen.farm import preflight
+    from synthgen.farm.rerender import rerender as again
 
     preflight.check_device(device)
     with console.stderr().status(f"rendering {key} again"):
@@ -258,7 +258,7 @@ def query(
     """Ask the manifest in SQL (DuckDB)."""
     from rich.table import Table
 
-    from synthgen import manifest
+    from synthgen.dataset import manifest
 
     found = manifest.query(out, sql)
     table = Table(*[str(c) for c in found.column_names])
@@ -277,7 +277,7 @@ def export(
 ) -> None:
     """Write a dataset for another tool: a transforms.json per subject and environment."""
     from synthgen.errors import JobError
-    from synthgen.export import nerfstudio
+    from synthgen.publish.export import nerfstudio
 
     if format_ != "nerfstudio":
         raise JobError("--format", "", format_, "choose nerfstudio")
@@ -324,7 +324,7 @@ def _beside(out: Path, ending: str) -> Path:
 
 def _check_panoramas(environments: list[EnvironmentSpec], out: Path, file: Path) -> None:
     """Read the user's own panoramas, those apart that the dataset holds already."""
-    from synthgen import preflight
+    from synthgen.farm import preflight
 
     unseen = [
         e
@@ -338,8 +338,8 @@ def _check_panoramas(environments: list[EnvironmentSpec], out: Path, file: Path)
 
 def _user_errors() -> tuple[type[Exception], ...]:
     """What is reported in one line. Imported only when something was raised already."""
-    from assets_procedural.panorama import PanoramaError
+    from assets_procedural.conventions.panorama import PanoramaError
+    from synthgen.dataset.ledger import StorageError
     from synthgen.errors import JobError
-    from synthgen.ledger import StorageError
 
     return JobError, StorageError, PanoramaError

@@ -17,11 +17,11 @@ from typing import Any
 
 import numpy as np
 
-from synthgen.camera import resolve
-from synthgen.display import display, to_bytes
-from synthgen.job import JobSpec
-from synthgen.plan import ShotPlan, SubjectPlan
-from synthgen.shot import RenderedSubject, Shot, describe
+from assets_procedural.conventions.camera import resolve
+from assets_procedural.conventions.colour import display, to_bytes
+from synthgen.dataset.shot import RenderedSubject, Shot, describe
+from synthgen.planning.job import JobSpec
+from synthgen.planning.plan import ShotPlan, SubjectPlan
 
 RENDERER = "fake_renderer:render_subject"
 CENTRE, RADIUS = np.array([0.0, 0.0, 0.65]), 0.11

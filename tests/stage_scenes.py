@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from assets_procedural import panorama
-from assets_procedural.motion import Pose
-from assets_procedural.person import Beard, Hair, Person
-from synthgen.camera import CameraSample, resolve
-from synthgen.job import JobSpec, SubsetSpec
-from synthgen.plan import EnvironmentUse, ShotPlan, SubjectPlan
+from assets_procedural.conventions import panorama
+from assets_procedural.conventions.camera import CameraSample, resolve
+from assets_procedural.motion.poses import Pose
+from assets_procedural.people.person import Beard, Hair, Person
+from synthgen.planning.job import JobSpec, SubsetSpec
+from synthgen.planning.plan import EnvironmentUse, ShotPlan, SubjectPlan
 
 if TYPE_CHECKING:
     from synthgen.stage.nodes import Graph
@@ -168,7 +168,7 @@ def _shoot_ball(samples: int) -> np.ndarray:
 
 def bare_head(folder: Path) -> dict[str, np.ndarray]:
     """Labels of a bald, bare skin in a turned, open-mouthed pose, and the mesh that was shown."""
-    from assets_procedural.head import HeadModel
+    from assets_procedural.body.head import HeadModel
     from synthgen.stage import scene
     from synthgen.stage.build import build_figure, pose_figure
     from synthgen.stage.geometry import frame_of_head

@@ -20,10 +20,11 @@ from test_clips import write_video
 from typer.testing import CliRunner
 
 from synthgen.farm.local import render_job
-from totalediting import checkpoints, cli, stages
-from totalediting.clips import Clips
+from totalediting import cli
+from totalediting.data.clips import Clips
 from totalediting.errors import InputError
 from totalediting.presets import PRESETS
+from totalediting.training import checkpoints, stages
 
 Run = Callable[..., Answer]
 STEP = ("--steps", 1, "--batch", 1, "--workers", 0)

@@ -18,14 +18,15 @@ import torch
 from conftest import Answer
 from PIL import Image
 
-from assets_procedural import panorama
-from assets_procedural.environment import EnvironmentSettings, pool
-from totalediting import cli, lightmaps
-from totalediting.ball import shade_ball
+from assets_procedural.conventions import panorama
+from assets_procedural.light.pool import EnvironmentSettings, pool
+from totalediting import cli
 from totalediting.errors import InputError
-from totalediting.lightmap_files import read_lightmaps, write_lightmaps
-from totalediting.lightmap_pictures import exposure_of
-from totalediting.phong import KNEE
+from totalediting.light import lightmaps
+from totalediting.light.ball import shade_ball
+from totalediting.light.files import read_lightmaps, write_lightmaps
+from totalediting.light.phong import KNEE
+from totalediting.light.pictures import exposure_of
 
 CHANNELS = {f"{lobe}.{c}" for lobe in lightmaps.LOBES for c in "RGB"}
 

@@ -15,10 +15,10 @@ import pytest
 import stage_scenes as scenes
 import torch
 
-from assets_procedural import panorama
-from assets_procedural.environment import EnvironmentSettings, pool
-from totalediting import lightmaps
-from totalediting.ball import shade_ball
+from assets_procedural.conventions import panorama
+from assets_procedural.light.pool import EnvironmentSettings, pool
+from totalediting.light import lightmaps
+from totalediting.light.ball import shade_ball
 
 pytestmark = pytest.mark.blender
 

@@ -12,7 +12,7 @@ import page_driver
 import pytest
 
 from synthgen.dataset import open_dataset
-from synthgen.manifest import query
+from synthgen.dataset.manifest import query
 
 pytestmark = pytest.mark.browser
 SHOTS = 16  # of the dataset

@@ -23,9 +23,9 @@ from synthgen.browse.folder import Folder, Refused
 from synthgen.browse.sandbox import Sandbox
 from synthgen.browse.snapshot import Library
 from synthgen.browse.thumbnails import Thumbnails
-from synthgen.codecs import encode_json
-from synthgen.ledger import StorageError
-from synthgen.shards import tar_entry
+from synthgen.dataset.codecs import encode_json
+from synthgen.dataset.ledger import StorageError
+from synthgen.dataset.shards import tar_entry
 
 SECRET = b"nobody shall read this"
 SHOT = "multiview/s000002_p01"

@@ -18,17 +18,17 @@ import pytest
 from PIL import Image
 from starlette.testclient import TestClient
 
-from synthgen import cli, manifest
+from assets_procedural.conventions.colour import srgb_decode
+from synthgen import cli
 from synthgen.browse import snapshot as snapshots
 from synthgen.browse.app import create
 from synthgen.browse.folder import Folder
 from synthgen.browse.snapshot import Library
 from synthgen.browse.thumbnails import Thumbnails
-from synthgen.codecs import decode_exr
-from synthgen.dataset import Dataset, open_dataset
-from synthgen.display import srgb_decode
+from synthgen.dataset import Dataset, manifest, open_dataset
+from synthgen.dataset.codecs import decode_exr
 from synthgen.farm.local import render_job
-from synthgen.passes import passes
+from synthgen.pictures.passes import passes
 
 SHOT = "multiview/s000002_p01"
 
@@ -363,7 +363,7 @@ def test_lightmaps_are_those_the_model_learns_from(
     ask: TestClient, small_dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     torch = pytest.importorskip("torch")
-    from totalediting import lightmaps
+    from totalediting.light import lightmaps
 
     monkeypatch.setenv("SYNTHGEN_CACHE", str(tmp_path / "cache"))
     file = small_dataset / "environments" / "city.exr"
@@ -387,8 +387,8 @@ def test_what_cannot_light_is_refused_in_one_line(ask: TestClient, monkeypatch: 
     assert answer.json()["error"].startswith("the file: cannot be read")
     monkeypatch.setattr("synthgen.browse.light.LARGEST_UPLOAD", 10)
     assert ask.post("/lightmaps", content=b"#?RADIANCE and more").status_code == 413
-    monkeypatch.setitem(sys.modules, "totalediting.environment_lightmaps", None)
-    monkeypatch.delattr("totalediting.environment_lightmaps", raising=False)
+    monkeypatch.setitem(sys.modules, "totalediting.light.environments", None)
+    monkeypatch.delattr("totalediting.light.environments", raising=False)
     answer = ask.get("/lightmaps/city")
     assert answer.status_code == 501
     assert "pip install 'synthgen[model]'" in answer.json()["error"]
@@ -406,9 +406,9 @@ def test_a_subject_has_the_cameras_of_its_shots(ask: TestClient, stored: Dataset
 
 
 def test_expressions_move_the_skin_as_the_head_model_does(ask: TestClient, stored: Dataset):
-    from assets_procedural.head import HeadModel, head_file
-    from assets_procedural.motion import ARKIT_NAMES, Pose
-    from assets_procedural.person import Person
+    from assets_procedural.body.head import HeadModel, head_file
+    from assets_procedural.motion.poses import ARKIT_NAMES, Pose
+    from assets_procedural.people.person import Person
 
     if not head_file().exists():
         pytest.skip("the head model is not prepared on this machine")

@@ -17,12 +17,12 @@ import page_driver
 import pytest
 import torch
 
-from assets_procedural import panorama
+from assets_procedural.conventions import panorama
+from assets_procedural.conventions.colour import srgb_decode
 from synthgen.dataset import open_dataset
-from synthgen.display import srgb_decode
-from synthgen.shot import Shot
-from totalediting import lightmaps, phong
-from totalediting.environment_lightmaps import environment_lightmaps
+from synthgen.dataset.shot import Shot
+from totalediting.light import lightmaps, phong
+from totalediting.light.environments import environment_lightmaps
 
 pytestmark = pytest.mark.browser
 KEY = "multiview/s000000_p00"

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from synthgen import calibration, measure
-from synthgen.calibration import Calibration
 from synthgen.console import size
-from synthgen.estimate import estimate
-from synthgen.job import JobSpec, SubsetSpec
-from synthgen.plan import Plan
+from synthgen.farm import calibration, measure
+from synthgen.farm.calibration import Calibration
+from synthgen.farm.estimate import estimate
+from synthgen.planning.job import JobSpec, SubsetSpec
+from synthgen.planning.plan import Plan
 
 SPEC = SubsetSpec(kind="multiview", subjects=100, environments=4, views=5)
 JOB = JobSpec(name="test", resolution=256, samples=16, subsets={"multiview": SPEC})

@@ -7,14 +7,14 @@ import math
 import numpy as np
 import pytest
 
-from synthgen.camera import (
+from assets_procedural.conventions.camera import (
     Camera,
     CameraSample,
     nerfstudio_frame,
     resolve,
-    sample_camera,
 )
-from synthgen.job import CameraSettings
+from synthgen.planning.camera_sampling import sample_camera
+from synthgen.planning.job import CameraSettings
 
 HEAD = np.array([0.01, -0.05, 0.7])
 HEIGHT = 0.25

@@ -8,10 +8,10 @@ import numpy as np
 import torch
 from torch.nn import functional
 
-from synthgen.camera import CameraSample, resolve
-from totalediting.camera_jitter import jittered, jittered_light, photographed
-from totalediting.lightmaps import bake, sample
-from totalediting.motion import FILL, FOCAL_MM, Tracking
+from assets_procedural.conventions.camera import CameraSample, resolve
+from totalediting.geometry.camera_jitter import jittered, jittered_light, photographed
+from totalediting.geometry.tracking import FILL, FOCAL_MM, Tracking
+from totalediting.light.lightmaps import bake, sample
 
 SIDE = 96
 

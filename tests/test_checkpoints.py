@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 import torch
 
-from totalediting import checkpoints
-from totalediting.checkpoints import Checkpoint
 from totalediting.errors import InputError
+from totalediting.training import checkpoints
+from totalediting.training.checkpoints import Checkpoint
 
 
 def checkpoint(step: int) -> Checkpoint:

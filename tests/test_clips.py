@@ -13,9 +13,9 @@ import pytest
 import torch
 from PIL import Image
 
-from totalediting.clips import Clips
+from totalediting.data.clips import Clips
+from totalediting.data.endless import loader
 from totalediting.errors import InputError
-from totalediting.numbered import loader
 from totalediting.presets import PRESETS
 
 SMALL = replace(PRESETS["tiny"], image=24)

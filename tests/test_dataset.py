@@ -16,11 +16,13 @@ import numpy as np
 import pytest
 import webdataset
 
-from synthgen import export, manifest, pictures, rerender
-from synthgen.dataset import open_dataset
-from synthgen.ledger import StorageError
-from synthgen.plan import plan
-from synthgen.sheet import sheet
+from synthgen.dataset import manifest, open_dataset
+from synthgen.dataset.ledger import StorageError
+from synthgen.farm import rerender
+from synthgen.pictures import shot_sheet
+from synthgen.pictures.sheet import sheet
+from synthgen.planning.plan import plan
+from synthgen.publish import export
 
 JOB = fake_renderer.small_job()
 
@@ -229,11 +231,11 @@ def test_export_to_nerfstudio(out: Path, tmp_path: Path):
 def test_pictures(out: Path, tmp_path: Path):
     from PIL import Image
 
-    shown = pictures.show(out, "s000001_p01", tmp_path / "show.png", subset="video")
+    shown = shot_sheet.show(out, "s000001_p01", tmp_path / "show.png", subset="video")
     drawn = sheet(out, tmp_path / "sheet.png")
     for path in (shown, drawn):
         with Image.open(path) as image:
             assert image.width > 1000
             assert np.asarray(image).std() > 10
     with pytest.raises(StorageError, match="ambiguous"):
-        pictures.show(out, "s000001_p01", tmp_path / "no.png")
+        shot_sheet.show(out, "s000001_p01", tmp_path / "no.png")

@@ -10,8 +10,12 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from totalediting import decoders, phong, volume
-from totalediting.decoders import (
+from totalediting.geometry import volume
+from totalediting.geometry.frontal import LAID
+from totalediting.light import phong
+from totalediting.light.lightmaps import bake
+from totalediting.networks import decoders
+from totalediting.networks.decoders import (
     DENSITY_SCALE,
     Decoders,
     GeometryDecoder,
@@ -19,8 +23,6 @@ from totalediting.decoders import (
     Shading,
     ShadingDecoder,
 )
-from totalediting.frontal import LAID
-from totalediting.lightmaps import bake
 from totalediting.presets import PRESETS, Preset
 
 TINY = PRESETS["tiny"]

@@ -12,13 +12,13 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from assets_procedural.head import Bust, HeadModel
-from assets_procedural.motion import Pose
-from assets_procedural.person import Person
-from totalediting.deformation import mls, mls_reference
-from totalediting.field import Control, Field, Table, kabsch, quaternion_of, tabulate
-from totalediting.space import box
-from totalediting.surface_field import nearest_triangle, surface_field
+from assets_procedural.body.head import Bust, HeadModel
+from assets_procedural.motion.poses import Pose
+from assets_procedural.people.person import Person
+from totalediting.geometry.field import Control, Field, Table, kabsch, quaternion_of, tabulate
+from totalediting.geometry.moving_least_squares import mls, mls_reference
+from totalediting.geometry.space import box
+from totalediting.geometry.surface_field import nearest_triangle, surface_field
 
 LOW, HIGH = torch.tensor([-0.26, -0.2, 0.28]), torch.tensor([0.26, 0.12, 0.83])
 

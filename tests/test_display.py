@@ -6,7 +6,7 @@ import colour
 import numpy as np
 import pytest
 
-from synthgen.display import (
+from assets_procedural.conventions.colour import (
     CLIP,
     KNEE,
     display,

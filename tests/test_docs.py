@@ -10,7 +10,7 @@ import pytest
 import typer
 
 from synthgen import cli as synthgen
-from synthgen.job import load_job
+from synthgen.planning.job import load_job
 from totalediting import cli as totalediting
 
 ROOT = Path(__file__).parents[1]

@@ -8,11 +8,12 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from assets_procedural.motion import ARKIT_NAMES
-from synthgen.camera import SENSOR_MM, CameraSample
-from totalediting import motion
-from totalediting.appearance import Appearance, AppearanceEncoder
-from totalediting.blocks import (
+from assets_procedural.conventions.camera import SENSOR_MM, CameraSample
+from assets_procedural.motion.poses import ARKIT_NAMES
+from totalediting.geometry.tracking import CODE, EXPRESSIONS, FILL, FOCAL_MM, SIZES, Tracking
+from totalediting.networks import head_tracker
+from totalediting.networks.appearance import Appearance, AppearanceEncoder
+from totalediting.networks.blocks import (
     Attention,
     FeedForward,
     ResidualBlock,
@@ -23,10 +24,10 @@ from totalediting.blocks import (
     to_grid,
     to_tokens,
 )
-from totalediting.motion import HeadTracker, Tracking, tracking_errors, tracking_loss
+from totalediting.networks.head_tracker import HeadTracker, tracking_errors, tracking_loss
+from totalediting.networks.reenactment import Deenactor, Reenactor, fuse
+from totalediting.networks.triplanes import TriplaneEncoder
 from totalediting.presets import PRESETS, Preset
-from totalediting.reenactment import Deenactor, Reenactor, fuse
-from totalediting.triplanes import TriplaneEncoder
 
 TINY = PRESETS["tiny"]
 MINI = replace(
@@ -77,7 +78,7 @@ def laid(image: Tensor) -> Tensor:
 
 
 def codes(count: int, seed: int = 2) -> Tensor:
-    return torch.rand(count, motion.CODE, generator=torch.Generator().manual_seed(seed))
+    return torch.rand(count, CODE, generator=torch.Generator().manual_seed(seed))
 
 
 def awake(module: nn.Module) -> None:
@@ -92,7 +93,7 @@ def test_shapes_fit_together_in_every_preset(name):
     p = PRESETS[name]
     with torch.device("meta"):
         net = Encoders(p)
-        image, code = torch.rand(2, 3, p.image, p.image), torch.rand(2, motion.CODE)
+        image, code = torch.rand(2, 3, p.image, p.image), torch.rand(2, CODE)
         appearance = net.appearance(image, laid(image))
         assert isinstance(appearance, Appearance)
         assert appearance.global_.shape == (2, p.global_channels, p.image // 8, p.image // 8)
@@ -104,7 +105,7 @@ def test_shapes_fit_together_in_every_preset(name):
         assert fused.shape == grid
         planes = net.triplane(fused, appearance.detail)
         assert planes.shape == (2, 3, p.plane_channels, p.plane_size, p.plane_size)
-        assert net.tracker(image).code.shape == (2, motion.CODE)
+        assert net.tracker(image).code.shape == (2, CODE)
 
 
 def test_gradients_reach_every_parameter():
@@ -152,7 +153,7 @@ def test_pictures_of_a_batch_do_not_influence_each_other():
 
 def test_fresh_modules_do_not_see_the_code_and_one_step_later_they_do():
     net = encoders()
-    image, rest, smile = pictures(1, MINI.image), torch.zeros(1, motion.CODE), codes(1)
+    image, rest, smile = pictures(1, MINI.image), torch.zeros(1, CODE), codes(1)
 
     def planes() -> list[Tensor]:
         return [net(image, *e) for e in ((rest, rest), (smile, rest), (rest, smile))]
@@ -173,7 +174,7 @@ def test_fresh_modules_do_not_see_the_code_and_one_step_later_they_do():
 def test_every_coefficient_of_the_code_counts():
     net = encoders()
     awake(net)
-    fed = torch.cat([torch.zeros(1, motion.CODE), torch.eye(motion.CODE)])
+    fed = torch.cat([torch.zeros(1, CODE), torch.eye(CODE)])
     neutral = torch.randn(1, MINI.token_dim, MINI.tokens, MINI.tokens).expand(len(fed), -1, -1, -1)
     change = (net.reenactor(neutral, fed)[1:] - net.reenactor(neutral, fed)[0]).flatten(1)
     assert (change.abs().amax(1) > 1e-2).all()
@@ -183,7 +184,7 @@ def test_every_coefficient_of_the_code_counts():
 
 
 def test_code_is_expression_then_gaze():
-    assert len(ARKIT_NAMES) == motion.EXPRESSIONS
+    assert len(ARKIT_NAMES) == EXPRESSIONS
     tracked = encoders().tracker(pictures(2, MINI.image))
     assert torch.equal(tracked.code[:, :52], tracked.expression)
     assert torch.equal(tracked.code[:, 52:], tracked.gaze)
@@ -261,7 +262,7 @@ def test_expression_stays_in_its_range():
 
 def test_neutral_camera_is_the_dataset_s_default():
     camera = CameraSample()
-    assert (camera.focal_mm, camera.fill) == (motion.FOCAL_MM, motion.FILL)
+    assert (camera.focal_mm, camera.fill) == (FOCAL_MM, FILL)
     assert SENSOR_MM == 36.0
     zeros = truth(1)
     assert zeros.focal_mm.item() == 85.0 and zeros.fill.item() == 0.5
@@ -312,7 +313,7 @@ def test_a_field_is_read_where_it_shows():
 
 
 def truth(count: int) -> Tracking:
-    return Tracking(*(torch.zeros(count, size) for size in motion.SIZES))
+    return Tracking(*(torch.zeros(count, size) for size in SIZES))
 
 
 @pytest.mark.parametrize("name", Tracking._fields)
@@ -321,7 +322,7 @@ def test_tracking_loss_weighs_each_field(name):
     assert tracking_loss(zeros, zeros) == 0
     off = zeros._replace(**{name: getattr(zeros, name) - 0.25})
     error = 0.25**2 if name == "expression" else 0.25
-    assert tracking_loss(off, zeros).item() == pytest.approx(error * motion.WEIGHTS[name])
+    assert tracking_loss(off, zeros).item() == pytest.approx(error * head_tracker.WEIGHTS[name])
     errors = tracking_errors(off, zeros)
     assert errors.pop(name) == 0.25 and not any(errors.values())
 

@@ -12,16 +12,16 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from assets_procedural import panorama as pano
-from assets_procedural.backdrop import backdrop, blur_radius
-from assets_procedural.environment import (
+from assets_procedural.conventions import panorama as pano
+from assets_procedural.light.backdrop import backdrop, blur_radius
+from assets_procedural.light.pool import (
     EnvironmentSettings,
     PanoramaError,
     pool,
     write_pool,
 )
-from assets_procedural.sky import SkyParameters, sky, sky_rand
-from assets_procedural.studio import Softbox, StudioParameters, blackbody, studio, studio_rand
+from assets_procedural.light.sky import SkyParameters, sky, sky_rand
+from assets_procedural.light.studio import Softbox, StudioParameters, blackbody, studio, studio_rand
 
 _HAS_BPY = importlib.util.find_spec("bpy") is not None
 needs_bpy = pytest.mark.skipif(not _HAS_BPY, reason="bpy is not installed")

@@ -21,13 +21,14 @@ import numpy as np
 import pytest
 from rich.progress import Progress
 
-from assets_procedural import panorama
-from synthgen import ledger, manifest, publish
-from synthgen.atomic import sha256
+from assets_procedural.conventions import panorama
+from assets_procedural.conventions.files import sha256
+from synthgen.dataset import ledger, manifest
 from synthgen.farm import local, progress, run, worker
 from synthgen.farm.local import render_job
-from synthgen.plan import subject_key
-from synthgen.verify import verify
+from synthgen.planning.plan import subject_key
+from synthgen.publish import publish
+from synthgen.publish.verify import verify
 
 JOB = fake_renderer.small_job()
 ONE = fake_renderer.small_job(subsets={"multiview": JOB.subsets["multiview"].model_dump()})

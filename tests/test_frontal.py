@@ -7,9 +7,9 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from totalediting.field import Control
-from totalediting.frontal import frontalise
-from totalediting.space import off_planes
+from totalediting.geometry.field import Control
+from totalediting.geometry.frontal import frontalise
+from totalediting.geometry.space import off_planes
 
 SIDE = 96
 

@@ -5,16 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from assets_procedural import facial_hair, hair
-from assets_procedural.draping import Surface
-from assets_procedural.hair_styles import STYLES
-from assets_procedural.hairline import hairline_distance, recession
-from assets_procedural.head import HeadModel, Identity
-from assets_procedural.motion import Pose
-from assets_procedural.person import Beard, Hair, Person
-from assets_procedural.piece import Part, StrandPiece
-from assets_procedural.roots import sample_roots
-from assets_procedural.vectors import smoothstep
+from assets_procedural.body.hairline import hairline_distance, recession
+from assets_procedural.body.head import HeadModel, Identity
+from assets_procedural.body.piece import StrandPiece
+from assets_procedural.body.roots import sample_roots
+from assets_procedural.conventions.parts import Part
+from assets_procedural.hair import facial_hair, scalp_hair
+from assets_procedural.hair.draping import Surface
+from assets_procedural.hair.styles import STYLES
+from assets_procedural.mesh.vectors import smoothstep
+from assets_procedural.motion.poses import Pose
+from assets_procedural.people.person import Beard, Hair, Person
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +25,7 @@ def identity() -> Identity:
 
 def grow(identity: Identity, style: str, **changes: object) -> StrandPiece:
     person = Person(hair=Hair(style=style, **changes))  # type: ignore[arg-type]
-    (piece,) = hair.scalp_hair(person, identity, np.random.default_rng(4))
+    (piece,) = scalp_hair.scalp_hair(person, identity, np.random.default_rng(4))
     return piece
 
 
@@ -48,13 +49,14 @@ def test_every_style_grows_strands_on_the_scalp(identity, style):
 
 def test_a_bald_head_has_no_piece(identity):
     assert (
-        hair.scalp_hair(Person(hair=Hair(style="bald")), identity, np.random.default_rng(0)) == []
+        scalp_hair.scalp_hair(Person(hair=Hair(style="bald")), identity, np.random.default_rng(0))
+        == []
     )
 
 
 def test_an_unknown_style_is_named(identity):
     with pytest.raises(KeyError, match="mullet"):
-        hair.scalp_hair(Person(hair=Hair(style="mullet")), identity, np.random.default_rng(0))
+        scalp_hair.scalp_hair(Person(hair=Hair(style="mullet")), identity, np.random.default_rng(0))
     with pytest.raises(KeyError, match="goat"):
         facial_hair.beard(Person(beard=Beard(style="goat")), identity, np.random.default_rng(0))
 

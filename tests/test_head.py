@@ -8,12 +8,19 @@ from collections import defaultdict
 import numpy as np
 import pytest
 
-from assets_procedural.distill import BONES, whole_body
-from assets_procedural.head import _LIP_GAP, _LIPS, _PHENOTYPE_ANCHORS, LIDS, HeadModel, Identity
-from assets_procedural.motion import ARKIT_NAMES, Pose
-from assets_procedural.person import Person
-from assets_procedural.person_sampling import PeopleSettings, sample_person
-from assets_procedural.regions import mirror
+from assets_procedural.body.distill import BONES, whole_body
+from assets_procedural.body.head import (
+    _LIP_GAP,
+    _LIPS,
+    _PHENOTYPE_ANCHORS,
+    LIDS,
+    HeadModel,
+    Identity,
+)
+from assets_procedural.body.regions import mirror
+from assets_procedural.motion.poses import ARKIT_NAMES, Pose
+from assets_procedural.people.person import Person
+from assets_procedural.people.person_sampling import PeopleSettings, sample_person
 
 RACES = ("african", "asian", "caucasian")
 MOVES = {"jawOpen": 0.4, "mouthSmileLeft": 0.7, "browInnerUp": 0.5, "eyeSquintRight": 0.3}

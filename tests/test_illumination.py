@@ -8,8 +8,10 @@ from dataclasses import replace
 import pytest
 import torch
 
-from totalediting import illumination, lightmaps, phong
-from totalediting.illumination import (
+from totalediting.geometry.mirroring import mirrored_lightmaps
+from totalediting.light import lightmaps, phong
+from totalediting.networks import lightmap_estimator
+from totalediting.networks.lightmap_estimator import (
     Illumination,
     LightmapEstimator,
     fold,
@@ -17,7 +19,6 @@ from totalediting.illumination import (
     texel_weights,
     unfold,
 )
-from totalediting.mirroring import mirrored_lightmaps
 from totalediting.presets import PRESETS
 
 TINY = replace(PRESETS["tiny"], lightmap_height=8)  # few queries, for speed
@@ -69,7 +70,7 @@ def test_a_mirror_image_is_in_mirrored_light(estimator, image) -> None:
 def test_without_rolls_and_scales_the_maps_are_the_mean_of_the_answer_and_its_mirror_image(
     estimator, image, monkeypatch
 ) -> None:
-    monkeypatch.setattr(illumination, "_AUGMENTATIONS", ((0.0, 0.0),))
+    monkeypatch.setattr(lightmap_estimator, "_AUGMENTATIONS", ((0.0, 0.0),))
     image = (image + image.flip(-1)) / 2
     answer = unfold(estimator(image).code, TINY.lightmap_height)
     mean = (answer + mirrored_lightmaps(answer)) / 2
@@ -158,7 +159,7 @@ def test_a_token_knows_the_light_that_its_patch_shows() -> None:
     """The mean of linear light, not of what is displayed, patch by patch and channel by channel."""
     light = torch.zeros(1, 3, 128, 128)
     light[:, 0, :, 4:8], light[:, 1] = 0.6, 0.1  # red in half of the first column of patches
-    seen = illumination._light_shown(phong.display(light))[0].unflatten(0, (16, 16))
+    seen = lightmap_estimator._light_shown(phong.display(light))[0].unflatten(0, (16, 16))
     for column, shown in ((0, [0.3, 0.1, 0.0]), (1, [0.0, 0.1, 0.0])):
         wanted = torch.tensor([math.log1p(c) for c in shown] + [math.log(c + 0.02) for c in shown])
         torch.testing.assert_close(seen[:, column], wanted.expand(16, -1), atol=1e-5, rtol=1e-5)

@@ -15,10 +15,11 @@ import OpenEXR
 import pytest
 from PIL import Image
 
-from synthgen import ledger, preflight
+from synthgen.dataset import ledger
 from synthgen.errors import JobError
-from synthgen.job import JobSpec, load_job
-from synthgen.plan import subject_key
+from synthgen.farm import preflight
+from synthgen.planning.job import JobSpec, load_job
+from synthgen.planning.plan import subject_key
 
 JOBS = Path(__file__).parent.parent / "render_jobs"
 GOOD = """

@@ -1,12 +1,12 @@
 import numpy as np
 import pytest
 
-from assets_procedural.head import HeadModel
-from assets_procedural.landmarks import COUNT, FLIP, landmarks, skin_weights
-from assets_procedural.motion import Pose
-from assets_procedural.person import Person
-from assets_procedural.regions import fields
-from assets_procedural.subdivision import catmull_clark
+from assets_procedural.body.head import HeadModel
+from assets_procedural.body.landmarks import COUNT, FLIP, landmarks, skin_weights
+from assets_procedural.body.regions import fields
+from assets_procedural.mesh.subdivision import catmull_clark
+from assets_procedural.motion.poses import Pose
+from assets_procedural.people.person import Person
 
 INTEROCULAR = (36, 45)
 

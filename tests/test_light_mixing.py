@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from totalediting.light_mixing import Light, draw_light
-from totalediting.phong import display, undisplay
-from totalediting.portraits import Portraits
+from totalediting.data.light_mixing import Light, draw_light
+from totalediting.data.portraits import Portraits
+from totalediting.data.shots import Shots, picture
+from totalediting.light.phong import display, undisplay
 from totalediting.presets import PRESETS
-from totalediting.shots import Shots, picture
 
 SMALL = replace(PRESETS["tiny"], image=24)
 

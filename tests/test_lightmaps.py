@@ -10,9 +10,9 @@ import pytest
 import torch
 from scipy.special import lpmv
 
-from assets_procedural import panorama as pano
-from assets_procedural.environment import EnvironmentSettings, panorama_of, pool
-from totalediting.lightmaps import (
+from assets_procedural.conventions import panorama as pano
+from assets_procedural.light.pool import EnvironmentSettings, panorama_of, pool
+from totalediting.light.lightmaps import (
     LOBE_INTEGRALS,
     LOBES,
     SHININESS,

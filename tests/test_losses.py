@@ -6,9 +6,10 @@ import pytest
 import torch
 import torch.nn.functional as F
 
-from totalediting import lightmaps, losses, metrics
-from totalediting.illumination import fold, texel_weights
-from totalediting.losses import OURS, PAPER, TERMS, LossWeights, total
+from totalediting.light import lightmaps
+from totalediting.networks.lightmap_estimator import fold, texel_weights
+from totalediting.training import losses, metrics
+from totalediting.training.losses import OURS, PAPER, TERMS, LossWeights, total
 
 
 def test_l1_is_a_mean_and_a_weighted_mean():

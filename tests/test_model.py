@@ -10,10 +10,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from assets_procedural.head import HeadModel
-from assets_procedural.motion import Pose
-from assets_procedural.person import Person
-from totalediting.field import Control
+from assets_procedural.body.head import HeadModel
+from assets_procedural.motion.poses import Pose
+from assets_procedural.people.person import Person
+from totalediting.geometry.field import Control
 from totalediting.model import Edit, TotalEditing, Window
 from totalediting.presets import PRESETS, Preset
 
@@ -212,7 +212,7 @@ def test_a_window_is_that_part_of_the_picture(sources) -> None:
 def test_sources_in_another_frame_are_the_same_light(sources) -> None:
     """Turning the lightmaps' frame and saying so changes nothing but their resampling."""
     model = made()
-    from totalediting.lightmaps import bake, rotate, texel_directions
+    from totalediting.light.lightmaps import bake, rotate, texel_directions
 
     angle = math.radians(90)
     turn = torch.tensor(

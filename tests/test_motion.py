@@ -6,8 +6,14 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from assets_procedural.expressions import EXPRESSIONS, VISEMES, draw_expression, mirrored, resolve
-from assets_procedural.motion import (
+from assets_procedural.motion.expressions import (
+    EXPRESSIONS,
+    VISEMES,
+    draw_expression,
+    mirrored,
+    resolve,
+)
+from assets_procedural.motion.poses import (
     ARKIT_NAMES,
     Pose,
     PoseSettings,

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from assets_procedural.head import Bust, HeadModel
-from assets_procedural.motion import Pose
-from assets_procedural.mouth import jaw_motion, mouth
-from assets_procedural.person import Person
-from assets_procedural.piece import Part
-from assets_procedural.subdivision import catmull_clark
+from assets_procedural.body.head import Bust, HeadModel
+from assets_procedural.body.mouth import jaw_motion, mouth
+from assets_procedural.conventions.parts import Part
+from assets_procedural.mesh.subdivision import catmull_clark
+from assets_procedural.motion.poses import Pose
+from assets_procedural.people.person import Person
 
 PEOPLE = {
     "average": Person(),

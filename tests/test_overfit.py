@@ -7,12 +7,12 @@ from pathlib import Path
 import pytest
 
 from synthgen.farm.local import render_job
-from synthgen.job import JobSpec
-from totalediting import losses, training
-from totalediting.data import PortraitPairs
+from synthgen.planning.job import JobSpec
+from totalediting.data.pairs import PortraitPairs
 from totalediting.presets import PRESETS
-from totalediting.reconstruction import ReconstructStage
-from totalediting.training import Schedule
+from totalediting.training import loop, losses
+from totalediting.training.loop import Schedule
+from totalediting.training.reconstruction import ReconstructStage
 
 STEPS = 1000
 
@@ -47,5 +47,5 @@ def test_one_person_is_learnt_by_heart(tmp_path: Path) -> None:
     stage = ReconstructStage(data, tiny, seed=0, workers=0, weights=losses.OURS.over(STEPS))
     stage.train = stage.held_out = PortraitPairs(data, tiny, "train", seed=0)
     schedule = Schedule(STEPS, batch=4, learning_rate=1.5e-3, average=0.98)
-    figures = training.train(stage, tmp_path / "run", schedule, 0, {"preset": "tiny", "set": []})
+    figures = loop.train(stage, tmp_path / "run", schedule, 0, {"preset": "tiny", "set": []})
     assert figures["PSNR"] >= 30 > figures["PSNR of the source"]

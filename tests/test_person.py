@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from assets_procedural.face_shape import ANCESTRY_MEAN, ASYMMETRY, SPREAD
-from assets_procedural.person import Person
-from assets_procedural.person_sampling import (
+from assets_procedural.people.face_shape import ANCESTRY_MEAN, ASYMMETRY, SPREAD
+from assets_procedural.people.person import Person
+from assets_procedural.people.person_sampling import (
     AncestryWeights,
     HairStyle,
     PeopleSettings,
@@ -97,12 +97,12 @@ def test_shape_names_are_annys() -> None:
 
 
 def test_hair_styles_exist() -> None:
-    hair = pytest.importorskip("assets_procedural.hair_styles")
+    hair = pytest.importorskip("assets_procedural.hair.styles")
     assert set(get_args(HairStyle)) == set(hair.STYLES)
 
 
 def test_tops_exist(crowd: list[Person]) -> None:
-    wardrobe = pytest.importorskip("assets_procedural.wardrobe")
+    wardrobe = pytest.importorskip("assets_procedural.outfit.tops")
     assert {p.top.style for p in crowd} <= set(wardrobe.STYLES)
 
 

@@ -7,10 +7,10 @@ import pytest
 import torch
 import torch.nn.functional as F
 
-from synthgen import display as dataset
-from totalediting import phong
-from totalediting.lightmaps import SHININESS, bake, brute_force
-from totalediting.phong import compose, display, reflect, shade, undisplay
+from assets_procedural.conventions import colour as dataset
+from totalediting.light import phong
+from totalediting.light.lightmaps import SHININESS, bake, brute_force
+from totalediting.light.phong import compose, display, reflect, shade, undisplay
 
 
 def normal_values(*shape: int, seed: int = 0) -> torch.Tensor:

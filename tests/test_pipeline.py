@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 
 from synthgen.dataset import open_dataset
+from synthgen.dataset.manifest import query
 from synthgen.farm.local import render_job
-from synthgen.job import JobSpec
-from synthgen.manifest import query
-from synthgen.rerender import rerender
-from synthgen.verify import verify
+from synthgen.farm.rerender import rerender
+from synthgen.planning.job import JobSpec
+from synthgen.publish.verify import verify
 
 pytestmark = pytest.mark.blender
 

@@ -8,8 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from synthgen.job import JobSpec, SubsetSpec, load_job
-from synthgen.plan import SPLITS, Plan, SubjectPlan, plan, subject_bytes, subjects_per_shard
+from synthgen.planning.job import JobSpec, SubsetSpec, load_job
+from synthgen.planning.plan import (
+    SPLITS,
+    Plan,
+    SubjectPlan,
+    plan,
+    subject_bytes,
+    subjects_per_shard,
+)
 
 JOBS = Path(__file__).parent.parent / "render_jobs"
 POOL = [f"light_{i}" for i in range(12)]

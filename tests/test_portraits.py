@@ -10,18 +10,20 @@ import numpy as np
 import pytest
 import torch
 
-from assets_procedural.head import HeadModel
-from assets_procedural.landmarks import landmarks
-from assets_procedural.motion import ARKIT_NAMES, Pose
-from assets_procedural.person import Person
-from assets_procedural.person_sampling import PeopleSettings, sample_person
-from synthgen.camera import CameraSample, resolve
-from totalediting import identity, lightmaps, portraits
-from totalediting.motion import Tracking
-from totalediting.numbered import loader
-from totalediting.portraits import Portraits
+from assets_procedural.body.head import HeadModel
+from assets_procedural.body.landmarks import landmarks
+from assets_procedural.conventions.camera import CameraSample, resolve
+from assets_procedural.motion.poses import ARKIT_NAMES, Pose
+from assets_procedural.people.person import Person
+from assets_procedural.people.person_sampling import PeopleSettings, sample_person
+from totalediting.data import portraits
+from totalediting.data.endless import loader
+from totalediting.data.portraits import Portraits
+from totalediting.geometry import identity
+from totalediting.geometry.space import head_centre
+from totalediting.geometry.tracking import Tracking
+from totalediting.light import lightmaps
 from totalediting.presets import PRESETS
-from totalediting.shots import head_centre
 
 SMALL = replace(PRESETS["tiny"], image=24)
 INDEX = {name: i for i, name in enumerate(ARKIT_NAMES)}

@@ -11,11 +11,11 @@ import mlcroissant
 import pytest
 import yaml
 
-from synthgen import card, ledger, publish
-from synthgen.atomic import sha256
-from synthgen.dataset import open_dataset
+from assets_procedural.conventions.files import sha256
+from synthgen.dataset import ledger, open_dataset
+from synthgen.dataset.shards import read_sample
 from synthgen.farm.local import render_job
-from synthgen.shards import read_sample
+from synthgen.publish import card, publish
 
 JOB = fake_renderer.small_job()
 

@@ -2,14 +2,14 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from assets_procedural.head import HeadModel
-from assets_procedural.piece import Part
-from assets_procedural.regions import (
+from assets_procedural.body.head import HeadModel
+from assets_procedural.body.regions import (
     edge_loop,
     fields,
     lid_loop,
     part_labels,
 )
+from assets_procedural.conventions.parts import Part
 
 ON_SKIN = {
     Part.SKIN,

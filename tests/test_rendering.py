@@ -14,18 +14,19 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from totalediting import discriminator as adversary
-from totalediting import rendering, volume
-from totalediting.decoders import Decoders, Shading
-from totalediting.deformation import mls
-from totalediting.discriminator import CHANNELS, Discriminator
-from totalediting.field import Control, Field, tabulate
-from totalediting.frontal import LAID, both_sides
-from totalediting.lightmaps import bake, sample
+from totalediting.geometry import volume
+from totalediting.geometry.field import Control, Field, tabulate
+from totalediting.geometry.frontal import LAID, both_sides
+from totalediting.geometry.moving_least_squares import mls
+from totalediting.geometry.space import BOX_HIGH, BOX_LOW, off_planes, on_planes
+from totalediting.light.lightmaps import bake, sample
+from totalediting.networks import discriminator as adversary
+from totalediting.networks import rendering
+from totalediting.networks.decoders import Decoders, Shading
+from totalediting.networks.discriminator import CHANNELS, Discriminator
+from totalediting.networks.rendering import Rendering, render
+from totalediting.networks.superresolution import Background, SuperResolution, fine_structure, over
 from totalediting.presets import PRESETS, Preset
-from totalediting.rendering import Rendering, render
-from totalediting.space import BOX_HIGH, BOX_LOW, off_planes, on_planes
-from totalediting.superresolution import Background, SuperResolution, fine_structure, over
 
 SMALL = replace(
     PRESETS["tiny"],

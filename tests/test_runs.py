@@ -11,8 +11,9 @@ import time
 import pytest
 import torch
 
-from totalediting import cli, runs, stages
-from totalediting.training import fastest_precision
+from totalediting import cli
+from totalediting.training import runs, stages
+from totalediting.training.loop import fastest_precision
 
 PARENT = """
 import multiprocessing, os, time

@@ -11,12 +11,12 @@ import fake_renderer
 import numpy as np
 import pytest
 
-from synthgen import shards
-from synthgen.atomic import replacing, write_atomically
-from synthgen.codecs import decode_exr
-from synthgen.gate import inspect
-from synthgen.plan import plan
-from synthgen.shot import Shot
+from assets_procedural.conventions.files import replacing, write_atomically
+from synthgen.dataset import shards
+from synthgen.dataset.codecs import decode_exr
+from synthgen.dataset.gate import inspect
+from synthgen.dataset.shot import Shot
+from synthgen.planning.plan import plan
 
 JOB = fake_renderer.small_job()
 

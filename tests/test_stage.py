@@ -9,10 +9,10 @@ import pytest
 import stage_scenes as scenes
 import trimesh
 
-from assets_procedural import panorama
-from synthgen.camera import Camera
-from synthgen.gate import inspect
-from synthgen.shot import camera_of
+from assets_procedural.conventions import panorama
+from assets_procedural.conventions.camera import Camera
+from synthgen.dataset.gate import inspect
+from synthgen.dataset.shot import camera_of
 
 pytestmark = pytest.mark.blender
 

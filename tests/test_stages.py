@@ -14,28 +14,21 @@ from conftest import Answer
 from PIL import Image
 from torch import nn
 
-from totalediting import (
-    checkpoints,
-    cli,
-    losses,
-    perceptual,
-    recognition,
-    reconstruction,
-    showcase,
-    stages,
-)
-from totalediting import joint as joint_stage
-from totalediting.clips import ClipPair
-from totalediting.data import MIRRORED, PortraitPairs
-from totalediting.field import Control, Table
-from totalediting.identity import faces_of
-from totalediting.joint import JointStage, RealClips
-from totalediting.mirroring import MIRROR
-from totalediting.motion import HeadTracker
+from totalediting import cli
+from totalediting.data.clips import ClipPair
+from totalediting.data.pairs import MIRRORED, PortraitPairs
+from totalediting.geometry.field import Control, Table
+from totalediting.geometry.identity import faces_of
+from totalediting.geometry.mirroring import MIRROR
+from totalediting.networks.head_tracker import HeadTracker
 from totalediting.presets import PRESETS, preset_with
-from totalediting.reconstruction import ReconstructStage, edit_of
-from totalediting.stages import LightmapStage, TrackerStage
-from totalediting.weights import NetworkError
+from totalediting.pretrained import lpips, sface
+from totalediting.pretrained.fetch import NetworkError
+from totalediting.training import checkpoints, losses, reconstruction, showcase, stages
+from totalediting.training import joint as joint_stage
+from totalediting.training.joint import JointStage, RealClips
+from totalediting.training.reconstruction import ReconstructStage, edit_of
+from totalediting.training.stages import LightmapStage, TrackerStage
 
 Run = Callable[..., Answer]
 
@@ -152,8 +145,8 @@ def test_every_stage_has_a_schedule() -> None:
 def test_all_stages_in_order_and_the_joint_one_goes_on_from_them(
     totalediting: Run, small_dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(perceptual, "fetch", _missing)
-    monkeypatch.setattr(recognition, "fetch", _missing)
+    monkeypatch.setattr(lpips, "fetch", _missing)
+    monkeypatch.setattr(sface, "fetch", _missing)
     run = ["train", "all", small_dataset, "--out", tmp_path / "run", "--batch", 1]
     said = totalediting(*run, "--steps", 2, "--workers", 0)
     assert said.returncode == 0, said.stderr
@@ -170,8 +163,8 @@ def test_all_stages_in_order_and_the_joint_one_goes_on_from_them(
 def test_real_clips_are_trained_on_beside_synthetic_pairs(
     totalediting: Run, small_dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(perceptual, "fetch", _missing)
-    monkeypatch.setattr(recognition, "fetch", _missing)
+    monkeypatch.setattr(lpips, "fetch", _missing)
+    monkeypatch.setattr(sface, "fetch", _missing)
     for k in range(3):
         (tmp_path / "clips" / "one").mkdir(parents=True, exist_ok=True)
         Image.new("RGB", (40, 30), (60 * k, 90, 120)).save(tmp_path / "clips/one" / f"{k}.png")
@@ -204,7 +197,7 @@ def test_a_real_face_is_compared_where_the_tracker_finds_it(
             return picture.mean((2, 3))
 
     monkeypatch.setattr(joint_stage, "Recognition", Likeness)
-    monkeypatch.setattr(perceptual, "fetch", _missing)
+    monkeypatch.setattr(lpips, "fetch", _missing)
     torch.manual_seed(0)
     tiny, frame = PRESETS["tiny"], torch.rand(1, 3, 128, 128)
     tracker = HeadTracker(tiny).eval()
@@ -290,8 +283,8 @@ def test_every_joint_term_reaches_what_it_should(
     small_dataset: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Adversaries descend on their own parameters; the estimator learns from the result."""
-    monkeypatch.setattr(perceptual, "fetch", _missing)
-    monkeypatch.setattr(recognition, "fetch", _missing)
+    monkeypatch.setattr(lpips, "fetch", _missing)
+    monkeypatch.setattr(sface, "fetch", _missing)
     torch.manual_seed(0)
     weights = dataclasses.replace(losses.OURS, adversarial_from=0, tv=0.0, density_normal=0.0)
     stage = JointStage(small_dataset, PRESETS["tiny"], seed=0, workers=0, weights=weights)

@@ -8,18 +8,18 @@ import numpy as np
 import pytest
 import torch
 
-from assets_procedural.head import Bust, HeadModel, Identity
-from assets_procedural.landmarks import landmarks
-from assets_procedural.motion import ARKIT_NAMES, Pose, PoseSettings, sample_pose
-from assets_procedural.person_sampling import PeopleSettings, sample_person
-from synthgen import camera
-from synthgen.camera import CameraSample
+from assets_procedural.body.head import Bust, HeadModel, Identity
+from assets_procedural.body.landmarks import landmarks
+from assets_procedural.conventions import camera
+from assets_procedural.conventions.camera import CameraSample
+from assets_procedural.motion.poses import ARKIT_NAMES, Pose, PoseSettings, sample_pose
+from assets_procedural.people.person_sampling import PeopleSettings, sample_person
 from synthgen.stage.geometry import control_geometry, frame_of_head
-from totalediting.field import check_control
-from totalediting.identity import identity_basis
-from totalediting.motion import FILL, FOCAL_MM, Tracking
-from totalediting.shots import head_centre
-from totalediting.tracked import camera_of, control_of, reframed
+from totalediting.geometry.field import check_control
+from totalediting.geometry.identity import identity_basis
+from totalediting.geometry.rig import camera_of, control_of, reframed
+from totalediting.geometry.space import head_centre
+from totalediting.geometry.tracking import FILL, FOCAL_MM, Tracking
 
 SIDE = 96
 POSES = {

@@ -11,9 +11,9 @@ import pytest
 import torch
 from toy_training import SCHEDULE, Line
 
-from totalediting import checkpoints
 from totalediting.errors import InputError
-from totalediting.training import learning_rate, paced, train
+from totalediting.training import checkpoints
+from totalediting.training.loop import learning_rate, paced, train
 
 FACTS = {"data": "line"}
 SCRIPT = Path(__file__).parent / "toy_training.py"

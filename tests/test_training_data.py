@@ -16,18 +16,20 @@ import pytest
 import torch
 from fake_renderer import CENTRE, RADIUS
 
-from assets_procedural.motion import ARKIT_NAMES
-from assets_procedural.panorama import PanoramaError
+from assets_procedural.conventions.colour import srgb_decode
+from assets_procedural.conventions.panorama import PanoramaError
+from assets_procedural.motion.poses import ARKIT_NAMES
 from synthgen.dataset import open_dataset
-from synthgen.display import srgb_decode
-from totalediting import data, environment_lightmaps, lightmaps, shots
-from totalediting.data import PortraitPairs
+from totalediting.data import shots
+from totalediting.data.endless import Stream, loader, to_device
+from totalediting.data.pairs import MIRRORED, PortraitPairs
+from totalediting.data.shots import Shots, area, over_surface
 from totalediting.errors import InputError
-from totalediting.field import check_control
-from totalediting.numbered import Stream, loader, to_device
+from totalediting.geometry.field import check_control
+from totalediting.geometry.space import head_centre
+from totalediting.geometry.volume import rays
+from totalediting.light import environments, lightmaps
 from totalediting.presets import PRESETS
-from totalediting.shots import Shots, area, head_centre, over_surface
-from totalediting.volume import rays
 
 STORED = 48  # side of the small dataset's pictures
 SMALL = replace(PRESETS["tiny"], image=24)
@@ -115,7 +117,7 @@ def test_static_pairs_have_one_pose(small_dataset: Path):
 
 def test_a_mirrored_sample_is_the_mirrored_scene(pairs: PortraitPairs):
     sample = pairs[2]
-    turned = data.mirrored(sample)
+    turned = pairs.mirrored(sample)
     # What holds of a scene holds of its mirror image: control points, canonical positions and
     # normals lie where the camera sees them.
     for one in (sample, turned):
@@ -132,7 +134,7 @@ def test_a_mirrored_sample_is_the_mirrored_scene(pairs: PortraitPairs):
     assert torch.allclose(
         turned.points[0], torch.tensor([24.0, 0]) + sample.points[1] * torch.tensor([-1.0, 1])
     )
-    twice = data.mirrored(turned)._replace(key=sample.key)
+    twice = pairs.mirrored(turned)._replace(key=sample.key)
     for name, a, b in zip(sample._fields, sample, twice, strict=True):
         close = isinstance(a, torch.Tensor) and torch.allclose(a.float(), b.float(), atol=1e-6)
         assert close or equal(a, b), name
@@ -141,7 +143,7 @@ def test_a_mirrored_sample_is_the_mirrored_scene(pairs: PortraitPairs):
 def test_augmented_pairs_are_mirrored_half_of_the_time(small_dataset: Path):
     augmented = PortraitPairs(small_dataset, SMALL, augment=True)
     keys = [augmented[number].key for number in range(16)]
-    mirrored = [key for key in keys if key.endswith(data.MIRRORED)]
+    mirrored = [key for key in keys if key.endswith(MIRRORED)]
     assert 2 < len(mirrored) < 14
 
 
@@ -249,19 +251,19 @@ def test_lightmaps_are_the_integral_in_their_frame(pairs: PortraitPairs, in_came
 def test_a_panorama_is_baked_once_per_machine(small_dataset: Path, tmp_path: Path, monkeypatch):
     monkeypatch.setenv("SYNTHGEN_CACHE", str(tmp_path))
     path = next((small_dataset / "environments").glob("*.exr"))
-    environment_lightmaps.baked.cache_clear()
-    maps = environment_lightmaps.baked(path)
+    environments.baked.cache_clear()
+    maps = environments.baked(path)
     (kept,) = (tmp_path / "lightmaps").iterdir()
     with monkeypatch.context() as patch:
         patch.setattr(lightmaps, "bake", None)
-        environment_lightmaps.baked.cache_clear()
-        assert torch.equal(environment_lightmaps.baked(path), maps)
+        environments.baked.cache_clear()
+        assert torch.equal(environments.baked(path), maps)
     kept.write_bytes(b"broken")
-    environment_lightmaps.baked.cache_clear()
-    assert torch.equal(environment_lightmaps.baked(path), maps)
-    environment_lightmaps.baked.cache_clear()
+    environments.baked.cache_clear()
+    assert torch.equal(environments.baked(path), maps)
+    environments.baked.cache_clear()
     with pytest.raises(PanoramaError, match="no such panorama"):
-        environment_lightmaps.baked(tmp_path / "none.exr")
+        environments.baked(tmp_path / "none.exr")
 
 
 # ---------------------------------------------------------------- resizing

@@ -15,13 +15,12 @@ import duckdb
 import numpy as np
 import pytest
 
-from assets_procedural.motion import ARKIT_NAMES
-from synthgen import ledger, manifest
-from synthgen.atomic import sha256
-from synthgen.dataset import open_dataset
-from synthgen.rerender import Difference, compare
-from synthgen.shards import decode, encode, tar_entry
-from synthgen.verify import verify
+from assets_procedural.conventions.files import sha256
+from assets_procedural.motion.poses import ARKIT_NAMES
+from synthgen.dataset import ledger, manifest, open_dataset
+from synthgen.dataset.shards import decode, encode, tar_entry
+from synthgen.farm.rerender import Difference, compare
+from synthgen.publish.verify import verify
 
 TAR = "data/multiview/train-000000.tar"
 
@@ -321,7 +320,7 @@ def test_every_region_of_a_shard_is_covered(out: Path):
 def test_large_datasets_are_checked_by_processes(
     small_dataset: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.setattr("synthgen.verify.PARALLEL_BYTES", 0)
+    monkeypatch.setattr("synthgen.publish.verify.PARALLEL_BYTES", 0)
     assert verify(small_dataset, workers=2) == []
 
 

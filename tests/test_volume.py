@@ -11,8 +11,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from synthgen.camera import Camera, CameraSample, resolve
-from totalediting import volume
+from assets_procedural.conventions.camera import Camera, CameraSample, resolve
+from totalediting.geometry import volume
 
 
 def f64(*values: object) -> Tensor:

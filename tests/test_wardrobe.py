@@ -7,15 +7,16 @@ import pytest
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from assets_procedural.accessories import accessories
-from assets_procedural.cloth import Sheet, border_loops, sheet_from_quads
-from assets_procedural.glasses import SHAPES
-from assets_procedural.head import HeadModel
-from assets_procedural.headwear import above_rim
-from assets_procedural.motion import Pose
-from assets_procedural.person import Earrings, Glasses, Hat, Person, Top
-from assets_procedural.piece import MeshPiece, Part
-from assets_procedural.wardrobe import STYLES, covered_skin, wardrobe
+from assets_procedural.body.head import HeadModel
+from assets_procedural.body.piece import MeshPiece
+from assets_procedural.conventions.parts import Part
+from assets_procedural.motion.poses import Pose
+from assets_procedural.outfit.accessories import accessories
+from assets_procedural.outfit.cloth import Sheet, border_loops, sheet_from_quads
+from assets_procedural.outfit.glasses import SHAPES
+from assets_procedural.outfit.headwear import above_rim
+from assets_procedural.outfit.tops import STYLES, covered_skin, wardrobe
+from assets_procedural.people.person import Earrings, Glasses, Hat, Person, Top
 
 WOMAN = {"gender": 1.0, "age": 0.66, "asian": 1.0, "african": 0.0, "caucasian": 0.0}
 MAN = {"gender": 0.0, "age": 0.95, "weight": 0.8}

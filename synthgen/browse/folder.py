@@ -11,7 +11,7 @@ import stat
 from pathlib import Path
 from typing import Any
 
-from synthgen import ledger
+from synthgen.dataset import ledger
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,127}")
 """Subsets, keys of shots and subjects, environments, members: a name, never a path."""

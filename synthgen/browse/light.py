@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from assets_procedural import panorama
+from assets_procedural.conventions import panorama
 from synthgen.browse.folder import Folder, Refused, name
 
 if TYPE_CHECKING:
@@ -62,8 +62,8 @@ def of_upload(content: bytes, height: int) -> np.ndarray:
 class _Model:
     """The two functions of `totalediting` that are asked."""
 
-    def __init__(self, environment_lightmaps: ModuleType, lightmaps: ModuleType) -> None:
-        self.environment_lightmaps = environment_lightmaps.environment_lightmaps
+    def __init__(self, environments: ModuleType, lightmaps: ModuleType) -> None:
+        self.environment_lightmaps = environments.environment_lightmaps
         self._bake = lightmaps.bake
 
     def bake(self, pixels: np.ndarray, height: int) -> np.ndarray:
@@ -74,12 +74,12 @@ class _Model:
 
 def _model() -> _Model:
     try:
-        from totalediting import environment_lightmaps, lightmaps
+        from totalediting.light import environments, lightmaps
     except ModuleNotFoundError as error:
         raise Refused(
             f"light needs {error.name}, which is not installed: pip install 'synthgen[model]'", 501
         ) from None
-    return _Model(environment_lightmaps, lightmaps)
+    return _Model(environments, lightmaps)
 
 
 def _check_size(path: Path) -> None:

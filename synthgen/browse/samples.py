@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from synthgen.browse.folder import Folder, Refused
-from synthgen.shards import BLOCK
+from synthgen.dataset.shards import BLOCK
 
 _MEMBERS = 4096
 _LARGEST = 1 << 30

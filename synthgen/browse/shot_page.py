@@ -10,7 +10,7 @@ from synthgen.browse.decoded import Decoder
 from synthgen.browse.folder import Folder
 from synthgen.browse.samples import Broken, Sample
 from synthgen.browse.snapshot import Snapshot
-from synthgen.passes import PASSES
+from synthgen.pictures.passes import PASSES
 
 
 def describe(

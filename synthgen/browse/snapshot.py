@@ -22,13 +22,13 @@ from typing import Any
 
 import duckdb
 
-from synthgen import ledger, manifest
 from synthgen.browse.codes import Codes
 from synthgen.browse.fields import LEFT_OUT, Column, column
 from synthgen.browse.folder import NAME, Folder, Refused
 from synthgen.browse.matches import Matches
 from synthgen.browse.sandbox import Sandbox, literal, quoted
-from synthgen.columns import IDENTITY, PLACE, schema_of
+from synthgen.dataset import ledger, manifest
+from synthgen.dataset.columns import IDENTITY, PLACE, schema_of
 
 _NAME = re.compile(r"\w{1,128}", re.ASCII)
 _SETTLE = 2.0  # seconds between two looks at the folder

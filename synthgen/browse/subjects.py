@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from assets_procedural.motion import ARKIT_NAMES
+from assets_procedural.motion.poses import ARKIT_NAMES
 from synthgen.browse.decoded import metadata
 from synthgen.browse.folder import Folder, Refused
 from synthgen.browse.samples import Broken, Sample
@@ -81,9 +81,9 @@ def expressions(folder: Folder, snapshot: Snapshot, subset: str, subject: str) -
     the world is Z up, so a vertex (x, y, z) of the glTF is (x, -z, y). Raises `Refused` where the
     head model is not on this machine, or the metadata name a person that it cannot make.
     """
-    from assets_procedural.head import HeadModel, head_file
-    from assets_procedural.motion import Pose
-    from assets_procedural.person import Person
+    from assets_procedural.body.head import HeadModel, head_file
+    from assets_procedural.motion.poses import Pose
+    from assets_procedural.people.person import Person
 
     if not head_file().exists():
         raise Refused("expressions need the head model, which is not prepared on this machine")

@@ -16,10 +16,9 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from assets_procedural.cache import cache_folder
-from synthgen.atomic import write_atomically
+from assets_procedural.conventions.files import cache_folder, write_atomically
 from synthgen.browse.samples import Broken, Sample
-from synthgen.page import fit
+from synthgen.pictures.page import fit
 
 SIZES = (96, 160, 240, 320, 480)
 """Widths that are made; another one gets the next larger."""

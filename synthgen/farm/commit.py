@@ -7,14 +7,14 @@ import time
 from pathlib import Path
 from typing import Any
 
-from synthgen import ledger, manifest
-from synthgen.atomic import replacing, sha256, write_atomically
-from synthgen.codecs import encode_json
-from synthgen.columns import row
-from synthgen.gate import inspect
-from synthgen.plan import Plan, ShardPlan, SubjectPlan, subject_key
-from synthgen.shards import BLOCK, concatenate, encode, tar_entry
-from synthgen.shot import RenderedSubject
+from assets_procedural.conventions.files import replacing, sha256, write_atomically
+from synthgen.dataset import ledger, manifest
+from synthgen.dataset.codecs import encode_json
+from synthgen.dataset.columns import row
+from synthgen.dataset.gate import inspect
+from synthgen.dataset.shards import BLOCK, concatenate, encode, tar_entry
+from synthgen.dataset.shot import RenderedSubject
+from synthgen.planning.plan import Plan, ShardPlan, SubjectPlan, subject_key
 
 
 class GateError(RuntimeError):

@@ -2,7 +2,7 @@
 
 The parent hands out subjects, one at a time, kills what hangs, retries what failed, and commits a
 shard when the last of its subjects is done. All state that matters is on disk (see
-`synthgen.ledger`): kill anything at any moment and run the same command again.
+`synthgen.dataset.ledger`): kill anything at any moment and run the same command again.
 """
 
 from __future__ import annotations
@@ -15,17 +15,19 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from assets_procedural.environment import pool, provenance, write_pool
-from synthgen import calibration, console, ledger, publish
-from synthgen.farm import DEFAULT_RENDERER
+from assets_procedural.light.pool import pool, provenance, write_pool
+from synthgen import console
+from synthgen.dataset import ledger
+from synthgen.farm import DEFAULT_RENDERER, calibration
 from synthgen.farm.commit import clean_shared
 from synthgen.farm.run import Run, Summary, full
 from synthgen.farm.worker import Orders, is_disk_full
-from synthgen.plan import Plan
+from synthgen.planning.plan import Plan
+from synthgen.publish import publish
 
 if TYPE_CHECKING:
-    from assets_procedural.environment import EnvironmentSpec
-    from synthgen.job import JobSpec
+    from assets_procedural.light.pool import EnvironmentSpec
+    from synthgen.planning.job import JobSpec
 
 SUBJECTS_PER_WORKER = 20
 

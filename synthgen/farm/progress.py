@@ -9,20 +9,17 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from synthgen import console, ledger
+from synthgen import console
+from synthgen.dataset import ledger
 from synthgen.farm.commit import frames_done
-
-if TYPE_CHECKING:
-    from synthgen.farm.run import Run
-
+from synthgen.farm.state import RunState
 
 _LINE_EVERY = 60.0  # seconds
 
 
 @contextlib.contextmanager
-def shown(run: Run) -> Iterator[Callable[[], None]]:
+def shown(run: RunState) -> Iterator[Callable[[], None]]:
     """Show rate and time left when called: as a bar, in a log as a line a minute, on stderr."""
     total = sum(
         len(s.subjects) * (spec.shots * spec.environments)
@@ -74,7 +71,7 @@ def _lines(text: Callable[[], str]) -> Callable[[], None]:
     return advance
 
 
-def note(run: Run) -> None:
+def note(run: RunState) -> None:
     """Tell `synthgen status`, in another process, what this run is busy with."""
     now, clock = time.time(), time.monotonic()
     content = {
@@ -95,6 +92,6 @@ def note(run: Run) -> None:
     temporary.replace(path)
 
 
-def note_file(run: Run) -> Path:
+def note_file(run: RunState) -> Path:
     """Where `note` leaves it; there while the run lasts."""
     return run.out / "work" / "runs" / f"{run.slice}.json"

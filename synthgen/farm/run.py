@@ -8,36 +8,26 @@ import signal
 import time
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 from multiprocessing import connection
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from synthgen import ledger, publish
+from synthgen.dataset import ledger
 from synthgen.farm import progress
 from synthgen.farm.commit import clean_temporary, commit_shard, unpack_shard
 from synthgen.farm.slot import Slot, Task
+from synthgen.farm.state import RunState, Summary
 from synthgen.farm.worker import Orders
-from synthgen.plan import Plan, ShardPlan, subject_key
+from synthgen.planning.plan import Plan, ShardPlan, subject_key
+from synthgen.publish import publish
 
 if TYPE_CHECKING:
-    from synthgen.job import JobSpec
+    from synthgen.planning.job import JobSpec
 
 START_LIMIT = 600.0
 # So many subjects failing in a row, or so many attempts before the first success, mean that the
 # set-up is broken, not the subjects.
 HOPELESS = 12
-
-
-@dataclass
-class Summary:
-    """What one call of `render_job` did. `complete`: the whole dataset is finished."""
-
-    rendered: int = 0
-    frames: int = 0
-    seconds: float = 0.0
-    failed: list[dict[str, Any]] = field(default_factory=list)
-    complete: bool = False
 
 
 def time_allowed(job: JobSpec, frames: int) -> float:
@@ -48,7 +38,7 @@ def time_allowed(job: JobSpec, frames: int) -> float:
     return 600.0 + frames * (job.resolution / 256) ** 2 * (10.0 + 3.0 * job.samples)
 
 
-class Run:
+class Run(RunState):
     """One pass over a slice of the plan."""
 
     def __init__(
@@ -60,18 +50,17 @@ class Run:
         time_limit: float | None,
         subjects_per_worker: int,
     ) -> None:
-        self.plan, self.orders, self.out = the_plan, orders, orders.out
-        self.workers, self.time_limit = workers, time_limit
-        self.subjects_per_worker = subjects_per_worker
-        self.slice = f"{shard[0]}-of-{shard[1]}"
         every = [s for name in the_plan.job.subsets for s in the_plan.shards(name)]
-        self.shards = every[shard[0] - 1 :: shard[1]]
+        super().__init__(
+            plan=the_plan,
+            out=orders.out,
+            slice=f"{shard[0]}-of-{shard[1]}",
+            shards=every[shard[0] - 1 :: shard[1]],
+        )
+        self.orders, self.workers, self.time_limit = orders, workers, time_limit
+        self.subjects_per_worker = subjects_per_worker
         self.missing: dict[str, set[int]] = {}  # open shard -> indices still to render
         self.retries: deque[Task] = deque()
-        self.slots: dict[int, Slot] = {}
-        self.summary = Summary()
-        self.streak: list[tuple[str, str]] = []  # subjects of the failures since a success
-        self.started = time.time()
 
     def go(self, limit: int | None, retry_failed: bool) -> Summary:
         """Render until nothing is left or `limit` subjects are rendered."""

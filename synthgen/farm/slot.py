@@ -9,7 +9,7 @@ from multiprocessing import get_context
 
 from synthgen.farm.process import start
 from synthgen.farm.worker import Orders, work
-from synthgen.plan import ShardPlan, SubjectPlan
+from synthgen.planning.plan import ShardPlan, SubjectPlan
 
 
 @dataclass

@@ -24,10 +24,10 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
+from synthgen.dataset.shot import RenderedSubject
 from synthgen.farm.commit import GateError, commit_subject
-from synthgen.job import JobSpec
-from synthgen.plan import SubjectPlan
-from synthgen.shot import RenderedSubject
+from synthgen.planning.job import JobSpec
+from synthgen.planning.plan import SubjectPlan
 
 DISK_FULL = (errno.ENOSPC, errno.EDQUOT)
 NEARLY_FULL = 16_000_000

@@ -11,12 +11,13 @@ from dataclasses import dataclass
 import bpy
 import numpy as np
 
-from assets_procedural import regions, wardrobe
-from assets_procedural.head import Bust, Identity
-from assets_procedural.person import Person
-from assets_procedural.piece import Piece, StrandPiece
-from assets_procedural.skin import skin_fields
-from assets_procedural.subdivision import Subdivision, catmull_clark
+from assets_procedural.body import regions
+from assets_procedural.body.head import Bust, Identity
+from assets_procedural.body.piece import Piece, StrandPiece
+from assets_procedural.body.skin import skin_fields
+from assets_procedural.mesh.subdivision import Subdivision, catmull_clark
+from assets_procedural.outfit import tops
+from assets_procedural.people.person import Person
 from synthgen.stage import materials
 from synthgen.stage.hair_colour import strand_colours
 
@@ -49,7 +50,7 @@ def pose_figure(figure: Figure, bust: Bust) -> None:
 
 def _build_skin(person: Person, identity: Identity) -> tuple[Subdivision, bpy.types.Object]:
     model = identity.model
-    shown = ~wardrobe.covered_skin(person, identity)
+    shown = ~tops.covered_skin(person, identity)
     quads = model.faces["skin"][shown]
     subdivision = catmull_clark(quads, len(model.template))
     fields = skin_fields(person, model)

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 import trimesh
 
-from assets_procedural.head import Bust, Identity
-from assets_procedural.landmarks import COUNT, PUPILS
-from assets_procedural.person import Person
-from assets_procedural.piece import MeshPiece
-from assets_procedural.regions import fields
-from assets_procedural.skin import skin_fields
-from synthgen.display import srgb_encode, to_bytes
+from assets_procedural.body.head import Bust, Identity
+from assets_procedural.body.landmarks import COUNT, PUPILS
+from assets_procedural.body.piece import MeshPiece
+from assets_procedural.body.regions import fields
+from assets_procedural.body.skin import skin_fields
+from assets_procedural.conventions.colour import srgb_encode, to_bytes
+from assets_procedural.people.person import Person
 
 if TYPE_CHECKING:  # it starts Blender, and this room needs none
     from synthgen.stage.build import Figure

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from assets_procedural.piece import StrandPiece
+from assets_procedural.body.piece import StrandPiece
 
 # Absorption of eumelanin and pheomelanin per unit concentration (d'Eon et al. 2011).
 _EUMELANIN = np.array([0.506, 0.841, 1.653])

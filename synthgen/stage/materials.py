@@ -13,7 +13,7 @@ from typing import Any
 import bpy
 import numpy as np
 
-from assets_procedural.person import Skin
+from assets_procedural.people.person import Skin
 from synthgen.stage.nodes import Graph, Socket
 
 LABEL_AOVS = ("albedo", "normal_world", "canonical", "texture", "part")
@@ -37,7 +37,7 @@ def write_labels(graph: Graph, albedo: Socket, part: Socket) -> None:
 
 
 def skin(parameters: Skin) -> bpy.types.Material:
-    """Random-walk skin; reads the vertex attributes of `assets_procedural.skin.SkinFields`."""
+    """Random-walk skin; reads the vertex attributes of `assets_procedural.body.skin.SkinFields`."""
     material, graph = _new("skin")
     rest = graph.attribute("rest").outputs["Vector"]
     rng = np.random.default_rng(parameters.seed)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from assets_procedural.backdrop import backdrop, blur_radius
-from assets_procedural.piece import Part
-from synthgen.camera import SENSOR_MM, Camera
-from synthgen.display import display, to_bytes, undisplay
+from assets_procedural.conventions.camera import SENSOR_MM, Camera
+from assets_procedural.conventions.colour import display, to_bytes, undisplay
+from assets_procedural.conventions.parts import Part
+from assets_procedural.light.backdrop import backdrop, blur_radius
 
 # What a face of medium albedo is exposed to, linear, and how far the meter follows dark skin: 1
 # would make all skins equally bright, 0 would meter the incident light alone.

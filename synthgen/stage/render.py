@@ -11,15 +11,15 @@ from pathlib import Path
 
 import numpy as np
 
-from assets_procedural import panorama
 from assets_procedural.assembly import pieces
-from assets_procedural.head import Bust, HeadModel
-from assets_procedural.landmarks import landmarks
-from synthgen.camera import Camera, resolve
-from synthgen.display import srgb_encode, to_bytes
-from synthgen.job import JobSpec
-from synthgen.plan import ShotPlan, SubjectPlan
-from synthgen.shot import RenderedSubject, Shot, describe
+from assets_procedural.body.head import Bust, HeadModel
+from assets_procedural.body.landmarks import landmarks
+from assets_procedural.conventions import panorama
+from assets_procedural.conventions.camera import Camera, resolve
+from assets_procedural.conventions.colour import srgb_encode, to_bytes
+from synthgen.dataset.shot import RenderedSubject, Shot, describe
+from synthgen.planning.job import JobSpec
+from synthgen.planning.plan import ShotPlan, SubjectPlan
 from synthgen.stage import photograph, scene
 from synthgen.stage.build import build_figure, pose_figure
 from synthgen.stage.geometry import canonical_mesh, control_geometry, frame_of_head, visible

@@ -16,7 +16,7 @@ import bpy
 import numpy as np
 import OpenEXR
 
-from synthgen.camera import SENSOR_MM, Camera
+from assets_procedural.conventions.camera import SENSOR_MM, Camera
 from synthgen.stage.materials import LABEL_AOVS
 from synthgen.stage.nodes import Graph
 

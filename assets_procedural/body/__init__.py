@@ -1,0 +1,1 @@
+"""The bust and what belongs to it: skin, eyes, mouth, landmarks."""

@@ -1,0 +1,1 @@
+"""One home for each convention: colour, cameras, panoramas, how files are written."""

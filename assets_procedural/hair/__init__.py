@@ -1,0 +1,1 @@
+"""Hair on the scalp and in the face, strand by strand."""

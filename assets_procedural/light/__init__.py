@@ -1,0 +1,1 @@
+"""HDR environments: the pool of a job, skies, studios, backdrops."""

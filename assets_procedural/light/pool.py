@@ -1,0 +1,283 @@
+"""The pool of environments: bundled panoramas, a user's folder, procedural skies and studios.
+
+The direction-pixel convention and the sign of a rotation are those of
+`assets_procedural.conventions.panorama`, whose functions are offered here as well.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import os
+import re
+import zlib
+from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from itertools import islice
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field, field_validator, model_validator
+
+from assets_procedural.conventions.panorama import (
+    PanoramaError,
+    direction_to_uv,
+    encode_header,
+    irradiance,
+    load,
+    lookup,
+    read_header,
+    rotate_z,
+    uv_to_direction,
+    write,
+)
+from assets_procedural.light.backdrop import backdrop, blur_radius
+from assets_procedural.light.sky import SkyParameters, sky, sky_rand
+from assets_procedural.light.studio import StudioParameters, studio, studio_rand
+from assets_procedural.settings import Interval, Settings, interval
+
+__all__ = [
+    "BUNDLED",
+    "EnvironmentSettings",
+    "EnvironmentSpec",
+    "PanoramaError",
+    "backdrop",
+    "blur_radius",
+    "direction_to_uv",
+    "irradiance",
+    "load",
+    "lookup",
+    "panorama_of",
+    "pool",
+    "provenance",
+    "rotate_z",
+    "uv_to_direction",
+    "write_pool",
+]
+
+BundledName = Literal[
+    "city", "courtyard", "forest", "interior", "night", "studio", "sunrise", "sunset"
+]
+
+_AT_ONCE = min(4, os.cpu_count() or 1)  # panoramas that are made side by side
+_POLY_HAVEN = "https://polyhaven.com/a/"
+BUNDLED: dict[str, str] = {
+    "city": _POLY_HAVEN + "portland_landing_pad",
+    "courtyard": _POLY_HAVEN + "courtyard",
+    "forest": _POLY_HAVEN + "ninomaru_teien",
+    "interior": _POLY_HAVEN + "hotel_room",
+    "night": _POLY_HAVEN + "moonless_golf",
+    "studio": _POLY_HAVEN + "studio_small_01",
+    "sunrise": _POLY_HAVEN + "spruit_sunrise",
+    "sunset": _POLY_HAVEN + "venice_sunset",
+}
+"""Bundled panorama to its origin, as the licence file beside them states it."""
+
+PROCEDURAL_HEIGHT = 512
+_HDR_SUFFIXES = (".exr", ".hdr")
+_LDR_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".bmp")
+
+
+class EnvironmentSettings(Settings):
+    """The pool of environments that subjects are lit by, and how they are turned and exposed."""
+
+    bundled: Literal["all"] | tuple[BundledName, ...] = "all"
+    """Panoramas that come with the bpy wheel: "all", or a list of names; [] for none."""
+    folder: Path | None = None
+    """A folder of your own equirectangular .exr or .hdr files (not searched recursively)."""
+    skies: int = Field(default=0, ge=0, le=10_000)
+    """Number of procedural skies."""
+    studios: int = Field(default=0, ge=0, le=10_000)
+    """Number of procedural studio set-ups."""
+    rotation: Annotated[Interval, interval(-360.0, 360.0, "degrees")] = (0.0, 360.0)
+    """Rotation about the vertical axis, degrees, drawn per subject and environment."""
+    exposure: Annotated[Interval, interval(-4.0, 4.0, "stops")] = (-0.5, 0.5)
+    """Stops around the exposure metered on the face."""
+    max_width: int = Field(default=2048, ge=64, le=16384)
+    """Wider panoramas of `folder` are area-averaged down to this width, pixels."""
+
+    @field_validator("bundled")
+    @classmethod
+    def _unique(cls, value: object) -> object:
+        if isinstance(value, tuple) and len(set(value)) != len(value):
+            raise ValueError("names a panorama twice")
+        return value
+
+    @model_validator(mode="after")
+    def _some(self) -> EnvironmentSettings:
+        if not (self.bundled or self.folder or self.skies or self.studios):
+            raise ValueError("no environment: set bundled, folder, skies or studios")
+        return self
+
+
+class EnvironmentSpec(Settings):
+    """One environment of a pool: what it is and where it comes from, but not its pixels."""
+
+    id: str = Field(pattern=r"^[a-z0-9_]+$")
+    """Name of its file and of its rows in a manifest."""
+    kind: Literal["bundled", "file", "sky", "studio"]
+    source: str
+    """Web address, file name or generator."""
+    author: str = ""
+    licence: str
+    parameters: dict[str, Any] = Field(default_factory=dict)
+    """Of the generator, or how a file is read."""
+    path: Path | None = Field(default=None, exclude=True)
+    """Where the pixels are read from, on this machine."""
+
+
+def pool(settings: EnvironmentSettings, seed: int) -> tuple[EnvironmentSpec, ...]:
+    """All environments of a job, in a fixed order, each with an id of its own.
+
+    The n-th sky or studio depends on `seed` and n alone. Files are found, not read.
+
+    Raises:
+        PanoramaError: the folder is missing or holds no panorama, or bpy is not installed.
+    """
+    names = tuple(BUNDLED) if settings.bundled == "all" else settings.bundled
+    specs = []
+    if names:
+        folder = _bundled_folder()
+        for name in names:
+            specs.append(_bundled(name, folder))
+    if settings.folder is not None:
+        specs += _user_files(settings.folder, settings.max_width)
+    for index in range(settings.skies):
+        drawn: Settings = sky_rand(_stream(seed, "sky", index))
+        specs.append(_procedural("sky", index, drawn))
+    for index in range(settings.studios):
+        drawn = studio_rand(_stream(seed, "studio", index))
+        specs.append(_procedural("studio", index, drawn))
+    return tuple(specs)
+
+
+def panorama_of(spec: EnvironmentSpec) -> np.ndarray:
+    """The pixels of an environment, (H, 2H, 3) float32 linear Rec.709.
+
+    Raises:
+        PanoramaError: its file cannot be used.
+    """
+    if spec.kind == "sky":
+        return sky(SkyParameters(**spec.parameters), PROCEDURAL_HEIGHT)
+    if spec.kind == "studio":
+        return studio(StudioParameters(**spec.parameters), PROCEDURAL_HEIGHT)
+    if spec.path is None:
+        raise PanoramaError(f"environment {spec.id}: its file is not known on this machine")
+    return load(spec.path, spec.parameters.get("max_width"))
+
+
+def write_pool(specs: Iterable[EnvironmentSpec], folder: Path) -> list[Path]:
+    """Store environments as `folder`/<id>.exr, each once; returns their paths.
+
+    A file that is there with the same provenance is kept, so that an interrupted call continues.
+
+    Raises:
+        PanoramaError: a user's file cannot be used.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    paths, rest = [], iter(specs)
+    with ThreadPoolExecutor(_AT_ONCE) as threads:
+        # By handfuls, so that who counts the specs sees how far it is.
+        while some := list(islice(rest, _AT_ONCE)):
+            paths += threads.map(partial(_store, folder), some)
+    return paths
+
+
+def _store(folder: Path, spec: EnvironmentSpec) -> Path:
+    path = folder / f"{spec.id}.exr"
+    header = _header(spec)
+    if not (path.is_file() and _same_header(path, header)):
+        write(path, panorama_of(spec), header)
+    return path
+
+
+def provenance(spec: EnvironmentSpec) -> dict[str, Any]:
+    """What is recorded of an environment; of one that comes from a file also its sha256."""
+    entry = spec.model_dump(mode="json")
+    if spec.path is not None and spec.path.is_file():
+        entry["sha256"] = hashlib.sha256(spec.path.read_bytes()).hexdigest()
+    return entry
+
+
+def _header(spec: EnvironmentSpec) -> dict[str, Any]:
+    return {f"environment_{key}": value for key, value in provenance(spec).items()}
+
+
+def _same_header(path: Path, header: dict[str, Any]) -> bool:
+    try:
+        found = read_header(path)
+    except Exception:  # OpenEXR raises what it likes on a damaged file, which is then rewritten
+        return False
+    return all(found.get(key) == text for key, text in encode_header(header).items())
+
+
+def _bundled_folder() -> Path:
+    """Folder of the bpy wheel's panoramas, found without importing bpy."""
+    module = importlib.util.find_spec("bpy")
+    for root in (module.submodule_search_locations or []) if module else []:
+        for folder in sorted(Path(root).glob("*/datafiles/studiolights/world")):
+            return folder
+    raise PanoramaError(
+        "the bundled panoramas are part of the bpy package, which is not installed here; "
+        "pip install bpy, or set environments.bundled = []"
+    )
+
+
+def _bundled(name: str, folder: Path) -> EnvironmentSpec:
+    return EnvironmentSpec(
+        id=name,
+        kind="bundled",
+        source=BUNDLED[name],
+        author="Greg Zaal (Poly Haven)",
+        licence="CC0-1.0",
+        path=folder / f"{name}.exr",
+    )
+
+
+def _user_files(folder: Path, max_width: int) -> list[EnvironmentSpec]:
+    if not folder.is_dir():
+        raise PanoramaError(f"{folder}: no such folder; environments.folder must be a folder")
+    files = sorted(p for p in folder.iterdir() if p.is_file() and not p.name.startswith("."))
+    usable = [p for p in files if p.suffix.lower() in _HDR_SUFFIXES]
+    if not usable:
+        ldr = [p.name for p in files if p.suffix.lower() in _LDR_SUFFIXES]
+        found = f"; {ldr[0]} is low dynamic range and cannot light a face" if ldr else ""
+        raise PanoramaError(f"{folder}: holds no .exr or .hdr panorama{found}")
+    specs: list[EnvironmentSpec] = []
+    taken: set[str] = set()
+    for path in usable:
+        slug = re.sub(r"[^a-z0-9]+", "_", path.stem.lower()).strip("_") or "panorama"
+        name = f"user_{slug}"
+        if name in taken:  # "a.exr" beside "a.hdr", or names that differ in punctuation only
+            name += f"_{zlib.crc32(path.name.encode()):08x}"
+        taken.add(name)
+        specs.append(
+            EnvironmentSpec(
+                id=name,
+                kind="file",
+                source=path.name,
+                licence="unspecified (supplied by the user)",
+                parameters={"max_width": max_width},
+                path=path,
+            )
+        )
+    return specs
+
+
+def _procedural(
+    kind: Literal["sky", "studio"], index: int, parameters: Settings
+) -> EnvironmentSpec:
+    return EnvironmentSpec(
+        id=f"{kind}_{index:04d}",
+        kind=kind,
+        source=f"assets_procedural.{kind}",
+        licence="CC0-1.0",
+        parameters=parameters.model_dump(mode="json"),
+    )
+
+
+def _stream(seed: int, kind: str, index: int) -> np.random.Generator:
+    key = (zlib.crc32(kind.encode()), index)
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))

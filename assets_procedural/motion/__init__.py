@@ -1,0 +1,1 @@
+"""Poses, expressions and their tracks over time."""

@@ -1,0 +1,231 @@
+"""Skin, hair, eyes, brows and beard of a subject, given age, sex and ancestry."""
+
+from __future__ import annotations
+
+from typing import Literal, get_args
+
+import numpy as np
+
+from assets_procedural.people.person import Beard, Brows, Colour, Eyes, Hair, Skin
+
+HairStyle = Literal[
+    "bald", "buzz", "receding", "short", "crop", "side_part", "slick_back", "pixie", "bob",
+    "fringe_bob", "long_straight", "long_wavy", "curly", "afro", "coils", "locs", "ponytail", "bun",
+]  # fmt: skip
+
+ADULT = 18.0  # years
+Ancestry = dict[str, float]
+"""Shares of "african", "asian" and "caucasian", sum 1."""
+
+# Relative frequency of a style: women, men, and a factor by hair texture (straight, wavy, coily).
+_STYLES: dict[HairStyle, tuple[float, float, tuple[float, float, float]]] = {
+    "bald": (0.03, 0.5, (1.0, 1.0, 1.0)),
+    "buzz": (0.12, 1.4, (0.8, 0.8, 1.8)),
+    "receding": (0.0, 1.0, (1.0, 1.0, 0.7)),
+    "short": (0.5, 2.2, (1.0, 1.0, 0.6)),
+    "crop": (0.3, 1.6, (1.0, 1.0, 0.8)),
+    "side_part": (0.4, 2.0, (1.2, 1.0, 0.1)),
+    "slick_back": (0.3, 1.0, (1.0, 0.8, 0.2)),
+    "pixie": (0.9, 0.1, (1.0, 1.0, 0.6)),
+    "bob": (1.6, 0.12, (1.1, 0.9, 0.3)),
+    "fringe_bob": (1.0, 0.05, (1.2, 0.8, 0.2)),
+    "long_straight": (2.2, 0.2, (1.3, 0.4, 0.25)),
+    "long_wavy": (2.0, 0.25, (0.5, 1.8, 0.3)),
+    "curly": (1.2, 0.8, (0.05, 0.9, 1.6)),
+    "afro": (1.0, 0.7, (0.0, 0.02, 2.2)),
+    "coils": (0.7, 0.9, (0.0, 0.02, 2.2)),
+    "locs": (0.6, 0.6, (0.0, 0.03, 1.8)),
+    "ponytail": (1.3, 0.12, (1.0, 1.0, 0.8)),
+    "bun": (0.9, 0.15, (1.0, 1.0, 1.0)),
+}
+HAIR_STYLES: tuple[HairStyle, ...] = get_args(HairStyle)
+UNDER_HAT: tuple[HairStyle, ...] = (
+    "bald", "buzz", "receding", "short", "crop", "side_part", "pixie", "bob", "fringe_bob",
+    "long_straight", "long_wavy", "locs",
+)  # fmt: skip
+
+# Linear Rec.709 reflectances of irises, dark to light.
+_IRISES: dict[str, Colour] = {
+    "dark_brown": (0.045, 0.022, 0.012),
+    "brown": (0.115, 0.055, 0.025),
+    "amber": (0.22, 0.11, 0.035),
+    "hazel": (0.16, 0.12, 0.05),
+    "green": (0.13, 0.16, 0.085),
+    "grey": (0.2, 0.23, 0.25),
+    "blue": (0.13, 0.21, 0.32),
+}
+_IRIS_WEIGHTS_LIGHT = (0.03, 0.2, 0.07, 0.18, 0.12, 0.12, 0.28)
+_IRIS_WEIGHTS_MEDIUM = (0.35, 0.42, 0.06, 0.12, 0.03, 0.01, 0.01)
+
+
+def unit(value: float) -> float:
+    """Clipped to [0, 1] and short in JSON."""
+    return round(float(np.clip(value, 0.0, 1.0)), 4)
+
+
+def draw_seed(rng: np.random.Generator) -> int:
+    """Seed of a texture or of strands, kept with the parameters."""
+    return int(rng.integers(2**31))
+
+
+def draw_skin(rng: np.random.Generator, age: float, male: bool, ancestry: Ancestry) -> Skin:
+    """Pigments by ancestry, lines by age; ancestry poles are themselves diverse."""
+    # Each pole is itself diverse: its melanin is drawn, and a mixture averages the draws.
+    pale = rng.random()
+    pole_melanin = {
+        "african": rng.normal(0.72, 0.13),
+        "asian": rng.normal(0.27, 0.07) if rng.random() < 0.7 else rng.normal(0.42, 0.08),
+        "caucasian": rng.normal(0.1, 0.05)
+        if pale < 0.62
+        else (rng.normal(0.25, 0.06) if pale < 0.88 else rng.normal(0.45, 0.08)),
+    }
+    melanin = sum(share * float(pole_melanin[pole]) for pole, share in ancestry.items())
+    melanin = float(np.clip(melanin + rng.normal(0.0, 0.02), 0.02, 0.97))
+    fair = float(np.clip(1.0 - melanin / 0.3, 0.0, 1.0))
+    freckled = rng.random() < 0.08 + 0.3 * fair
+    lines = np.clip((age - 22.0) / 58.0, 0.0, 1.0) ** 1.15 * (1.0 - 0.25 * melanin)
+    youth = np.exp(-(((age - 16.0) / 6.0) ** 2))
+    return Skin(
+        melanin=unit(melanin),
+        haemoglobin=unit(rng.normal(0.5 - 0.2 * melanin, 0.15)),
+        freckles=unit(rng.beta(1.5, 2.5) * (0.3 + 0.7 * fair) if freckled else 0.0),
+        moles=int(rng.poisson(1.5 + 3.0 * np.clip(age / 60.0, 0.0, 1.0))),
+        blemishes=unit(rng.beta(1.3, 5.0) + 0.35 * youth * rng.random()),
+        wrinkles=unit(lines * rng.uniform(0.75, 1.15) + 0.03),
+        oiliness=unit(rng.beta(2.5, 3.0) * (1.1 if male else 0.95) * (1.15 - age / 200.0)),
+        seed=draw_seed(rng),
+    )
+
+
+def draw_hair(
+    rng: np.random.Generator,
+    age: float,
+    male: bool,
+    ancestry: Ancestry,
+    skin_melanin: float,
+    allowed: tuple[HairStyle, ...],
+    under_hat: bool,
+) -> Hair:
+    """Texture and colour by ancestry, grey and thinning by age, style by all of them and sex."""
+    # Coily hair follows African ancestry, straight hair Asian; the rest is straight to wavy.
+    texture = ancestry["african"] * rng.normal(0.85, 0.1) + ancestry["caucasian"] * rng.beta(1.6, 3)
+    texture += ancestry["asian"] * rng.beta(1.2, 12.0)
+    curl = unit(texture)
+    style = _draw_style(rng, age, male, curl, allowed, under_hat)
+    dark = 1.0 - ancestry["caucasian"] * float(np.clip(1.0 - (skin_melanin - 0.1) / 0.25, 0.0, 1.0))
+    natural = float(
+        rng.choice([0.9, 0.72, 0.55, 0.4, 0.22, 0.1], p=[0.12, 0.3, 0.25, 0.15, 0.13, 0.05])
+    )
+    melanin = dark * rng.uniform(0.86, 1.0) + (1.0 - dark) * natural + rng.normal(0.0, 0.03)
+    redness = rng.beta(2.0, 6.0)
+    if rng.random() < 0.07 * (1.0 - dark):
+        melanin, redness = rng.uniform(0.35, 0.55), rng.uniform(0.7, 1.0)
+    dyed = rng.random() < (0.12 if male else 0.45)
+    if dyed and rng.random() < 0.3:
+        melanin, redness = melanin * rng.uniform(0.5, 1.0), rng.uniform(0.2, 0.7)
+    onset = rng.normal(47.0 + 4.0 * (1.0 - ancestry["caucasian"]), 8.0)
+    grey = 1.0 / (1.0 + np.exp(-(age - onset - 8.0) / 5.5))
+    grey = 0.0 if grey < 0.03 or (dyed and age < 75.0) else grey
+    thinning = np.clip((age - 35.0) / 60.0, 0.0, 1.0) * (0.55 if male else 0.3)
+    side = float(rng.choice([-1.0, 1.0]))
+    parting = 0.0 if rng.random() < 0.3 else side * rng.uniform(0.3, 1.0)
+    return Hair(
+        style=style,
+        melanin=unit(melanin),
+        redness=unit(redness),
+        grey=unit(grey),
+        length=unit(rng.beta(2.0, 2.0)),
+        parting=round(float(parting), 4),
+        curl=curl,
+        density=unit(rng.normal(0.82, 0.1) - thinning * rng.random()),
+        seed=draw_seed(rng),
+    )
+
+
+def _draw_style(
+    rng: np.random.Generator,
+    age: float,
+    male: bool,
+    curl: float,
+    allowed: tuple[HairStyle, ...],
+    under_hat: bool,
+) -> str:
+    if under_hat:
+        allowed = tuple(style for style in allowed if style in UNDER_HAT) or allowed
+    texture = np.array([np.interp(curl, [0.0, 0.35, 0.7], row) for row in np.eye(3)])
+    weights = []
+    for style in allowed:
+        women, men, by_texture = _STYLES[style]
+        weight = (men if male else women) * float(np.dot(by_texture, texture))
+        if style == "receding":
+            weight *= float(np.interp(age, [24.0, 50.0], [0.0, 1.8]))
+        if style == "bald":
+            weight *= 0.15 + 4.5 * np.clip((age - 28.0) / 40.0, 0.0, 1.0) if male else 1.0
+            weight *= age >= ADULT
+        if style in ("long_straight", "long_wavy", "ponytail"):
+            weight *= float(np.interp(age, [45.0, 75.0], [1.0, 0.3]))
+        if style in ("short", "pixie", "bob"):
+            weight *= float(np.interp(age, [45.0, 75.0], [1.0, 2.0]))
+        weights.append(weight)
+    total = sum(weights)
+    if total <= 0.0:  # only styles that do not go with this hair are allowed: the setting wins
+        return str(rng.choice(allowed))
+    return str(rng.choice(allowed, p=np.array(weights) / total))
+
+
+def draw_eyes(
+    rng: np.random.Generator, age: float, ancestry: Ancestry, melanin: float, hair: Hair
+) -> Eyes:
+    """Iris colour by ancestry, skin and hair; the rest by age."""
+    fair = ancestry["caucasian"] * float(np.clip(1.0 - (melanin - 0.12) / 0.2, 0.0, 1.0))
+    fair *= float(np.clip(1.6 - hair.melanin, 0.5, 1.0))
+    dark = np.array([0.78, 0.2, 0.01, 0.01, 0.0, 0.0, 0.0])
+    medium = max(0.0, ancestry["caucasian"] - fair)
+    weights = (1.0 - fair - medium) * dark
+    weights = (
+        weights + fair * np.array(_IRIS_WEIGHTS_LIGHT) + medium * np.array(_IRIS_WEIGHTS_MEDIUM)
+    )
+    name = tuple(_IRISES)[rng.choice(len(_IRISES), p=weights / weights.sum())]
+    tone = np.exp(rng.normal(0.0, 0.2)) * np.exp(rng.normal(0.0, 0.08, 3))
+    red, green, blue = (
+        round(float(c), 4) for c in np.clip(np.array(_IRISES[name]) * tone, 0.008, 0.5)
+    )
+    return Eyes(
+        iris=(red, green, blue),
+        limbus=unit(rng.normal(0.65 - 0.3 * np.clip((age - 40.0) / 50.0, 0.0, 1.0), 0.12)),
+        # The pupil narrows with age.
+        pupil_mm=round(float(np.clip(rng.normal(4.2 - 0.015 * age, 0.6), 2.0, 6.0)), 3),
+        redness=unit(rng.beta(1.6, 6.0) + 0.1 * np.clip((age - 50.0) / 40.0, 0.0, 1.0)),
+        seed=draw_seed(rng),
+    )
+
+
+def draw_brows(rng: np.random.Generator, age: float, male: bool) -> Brows:
+    """Thicker for men, thinner with age."""
+    return Brows(
+        thickness=unit(rng.normal(0.6 if male else 0.42, 0.15)),
+        density=unit(rng.normal(0.68 - 0.25 * np.clip((age - 50.0) / 40.0, 0.0, 1.0), 0.12)),
+        seed=draw_seed(rng),
+    )
+
+
+def draw_beard(
+    rng: np.random.Generator,
+    age: float,
+    male: bool,
+    ancestry: Ancestry,
+    probability: float,
+) -> Beard:
+    """None but for adult men, of whom the share `probability` has facial hair."""
+    wanted = rng.random() < probability
+    thin = 0.6 * ancestry["asian"] + 0.15 * ancestry["african"]
+    young = np.clip((age - ADULT) / 8.0, 0.25, 1.0)
+    weights = np.array([0.42, 0.1 + 0.1 * thin, 0.18, 0.3 * (1.0 - 0.8 * thin) * young])
+    style = str(rng.choice(["stubble", "moustache", "goatee", "full"], p=weights / weights.sum()))
+    low, high = {"stubble": (0.5, 2.0), "moustache": (3.0, 9.0)}.get(style, (4.0, 24.0))
+    length = float(np.exp(rng.uniform(np.log(low), np.log(high))))
+    density = rng.normal(0.72 - 0.3 * thin, 0.12) * (0.6 + 0.4 * young)
+    seed = draw_seed(rng)
+    if not (male and age >= ADULT and wanted):
+        return Beard(seed=seed)
+    return Beard(style=style, length_mm=round(length, 3), density=unit(density), seed=seed)

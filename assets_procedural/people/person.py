@@ -1,0 +1,114 @@
+"""`Person`: every parameter of a subject, plain data."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from assets_procedural.settings import Parameters
+
+Colour = tuple[float, float, float]
+
+
+class Skin(Parameters):
+    """Unitless strengths in [0, 1]; `moles` is a count."""
+
+    melanin: float = 0.3
+    haemoglobin: float = 0.5
+    freckles: float = 0.0
+    moles: int = 0
+    blemishes: float = 0.2
+    wrinkles: float = 0.2
+    oiliness: float = 0.4
+    seed: int = 0
+
+
+class Eyes(Parameters):
+    """`iris` is linear Rec.709; `pupil_mm` the pupil's diameter."""
+
+    iris: Colour = (0.12, 0.06, 0.03)
+    limbus: float = 0.6
+    pupil_mm: float = 3.5
+    redness: float = 0.2
+    seed: int = 0
+
+
+class Hair(Parameters):
+    """`parting` runs from -1 (subject's right) over 0 (centre) to 1 (left); others in [0, 1]."""
+
+    style: str = "short"
+    melanin: float = 0.8
+    redness: float = 0.2
+    grey: float = 0.0
+    length: float = 0.5
+    parting: float = 0.0
+    curl: float = 0.0
+    density: float = 0.8
+    seed: int = 0
+
+
+class Brows(Parameters):
+    thickness: float = 0.5
+    density: float = 0.6
+    seed: int = 0
+
+
+class Beard(Parameters):
+    """`style`: none, stubble, moustache, goatee or full."""
+
+    style: str = "none"
+    length_mm: float = 1.0
+    density: float = 0.6
+    seed: int = 0
+
+
+class Top(Parameters):
+    style: str = "tee"
+    colour: Colour = (0.2, 0.25, 0.35)
+    accent: Colour = (0.6, 0.6, 0.6)
+    pattern: str = "plain"
+    seed: int = 0
+
+
+class Glasses(Parameters):
+    """`tint` is the share of light that a lens absorbs."""
+
+    shape: str = "rectangle"
+    colour: Colour = (0.03, 0.03, 0.03)
+    metal: bool = False
+    tint: float = 0.0
+
+
+class Earrings(Parameters):
+    shape: str = "hoop"
+    size_mm: float = 18.0
+    colour: Colour = (0.8, 0.6, 0.25)
+
+
+class Hat(Parameters):
+    style: str = "beanie"
+    colour: Colour = (0.15, 0.05, 0.06)
+    accent: Colour = (0.5, 0.5, 0.5)
+    seed: int = 0
+
+
+class Person(Parameters):
+    """One subject.
+
+    `phenotypes` are Anny's (gender 0 male to 1 female, age, muscle, weight, height, proportions,
+    african, asian, caucasian …) in [0, 1]; `shape` its local changes in [-1, 1]; `asymmetry`
+    MakeHuman's asymmetry targets in [0, 1].
+    """
+
+    age_years: float = 35.0
+    phenotypes: dict[str, float] = Field(default_factory=dict)
+    shape: dict[str, float] = Field(default_factory=dict)
+    asymmetry: dict[str, float] = Field(default_factory=dict)
+    skin: Skin = Skin()
+    eyes: Eyes = Eyes()
+    hair: Hair = Hair()
+    brows: Brows = Brows()
+    beard: Beard = Beard()
+    top: Top = Top()
+    glasses: Glasses | None = None
+    earrings: Earrings | None = None
+    hat: Hat | None = None

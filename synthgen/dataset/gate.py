@@ -1,0 +1,215 @@
+"""The gate: what every shot must keep before it is stored, and when it is verified."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from assets_procedural.conventions.camera import LANDMARK_MARGIN
+from assets_procedural.conventions.colour import display, to_bytes
+from synthgen.dataset.shot import Shot, camera_of
+
+PART_IDS = (*range(19), 255)
+
+# Tolerances of the gate. They are part of the dataset contract: loosening one is a format change.
+LANDMARK_PIXELS = 0.5  # 2D landmarks against the projected 3D ones
+LANDMARK_DEPTH = 0.01  # metres, median over the visible landmarks
+NORMAL_LENGTH = 0.05  # median | |n| - 1 | inside the mask
+NORMAL_ANGLE = 20.0  # degrees, median between the normal pass and the slope of the depth
+MASK_OVERLAP = 0.7  # intersection over union of alpha > 127 and parts > 0
+ROTATION_ERROR = 1e-4
+MIN_MASK = 0.01  # share of the frame
+LIGHT_LEVELS = 1  # 8-bit levels between a picture and D(exposure · linear) where alpha is 255
+DARK, BRIGHT = 2.0, 253.0  # mean 8-bit level inside the mask
+
+
+def quality(shot: Shot) -> dict[str, float]:
+    """Figures of one shot for the manifest."""
+    mask = shot.parts > 0
+    height, width = shot.depth.shape
+    points, z = camera_of(shot.meta).project(np.asarray(shot.geometry["landmarks"], float))
+    declared = np.asarray(shot.meta["landmarks"]["points"], float)
+    visible = np.asarray(shot.meta["landmarks"]["visible"], bool)
+    size = np.array([width, height])
+    inside = np.isfinite(declared).all(1) & (declared >= 0).all(1) & (declared < size).all(1)
+    seen = visible & inside
+    column, row = np.floor(declared[seen]).astype(int).T
+    gap = np.abs(shot.depth[row, column] - z[seen])[shot.depth[row, column] > 0]
+    matte = shot.alpha > 127
+    union = (mask | matte).sum()
+    length = np.linalg.norm(shot.normal[mask].astype(np.float32), axis=-1)
+    level = [float(image[matte][:, :3].mean()) if matte.any() else 0.0 for image in shot.rgb]
+    deviation = [float(image[..., :3].std()) for image in shot.rgb]
+    return {
+        "mask_fraction": float(mask.mean()),
+        "mask_overlap": float((mask & matte).sum() / union) if union else 0.0,
+        "normal_length": float(np.median(length)) if length.size else 0.0,
+        "normal_angle": _normal_angle(shot, mask),
+        "depth_min": float(shot.depth[mask].min()) if mask.any() else 0.0,
+        "depth_max": float(shot.depth[mask].max()) if mask.any() else 0.0,
+        "landmarks_visible": float(visible.sum()),
+        "landmarks_inside": float(inside.sum()),
+        "landmark_pixels": float(np.abs(points - declared).max()),
+        "landmark_depth": float(np.median(gap)) if gap.size else 0.0,
+        "level_min": min(level),
+        "level_max": max(level),
+        "contrast_min": min(deviation),
+    }
+
+
+def _light_levels(shot: Shot) -> int:
+    """Largest difference between rgb and D(exposure · hdr) on opaque pixels; 0 without hdr."""
+    if shot.hdr is None:
+        return 0
+    opaque = shot.alpha == 255
+    worst = 0
+    for picture, linear, exposure in zip(shot.rgb, shot.hdr, shot.meta["exposures"], strict=True):
+        shown = to_bytes(display(exposure * linear[opaque][:, :3].astype(np.float32)))
+        difference = np.abs(picture[opaque][:, :3].astype(int) - shown)
+        worst = max(worst, int(difference.max(initial=0)))
+    return worst
+
+
+def _normal_angle(shot: Shot, mask: np.ndarray) -> float:
+    """Median angle in degrees between the normals and the slope of the unprojected depth."""
+    camera = camera_of(shot.meta)
+    points = camera.unproject(camera.pixel_centres(), shot.depth) - camera.position
+    points = points @ camera.camera_to_world[:3, :3]
+    right, down = points[:-1, 1:] - points[:-1, :-1], points[1:, :-1] - points[:-1, :-1]
+    slope = np.cross(down, right)
+    usable = mask[:-1, :-1] & mask[1:, :-1] & mask[:-1, 1:]
+    # Depth jumps (silhouettes, strands) have no slope: keep steps of the size of a pixel.
+    jump = np.maximum(np.abs(right[..., 2]), np.abs(down[..., 2]))
+    if not usable.any():
+        return 0.0
+    usable &= jump < 4 * max(float(np.median(np.abs(right[..., 0][usable]))), 1e-9)
+    a, b = slope[usable], shot.normal[:-1, :-1][usable].astype(float)
+    norm = np.linalg.norm(a, axis=-1) * np.linalg.norm(b, axis=-1)
+    if not (norm > 0).any():
+        return 0.0
+    cosine = (a * b).sum(-1)[norm > 0] / norm[norm > 0]
+    return float(np.degrees(np.arccos(np.clip(np.median(cosine), -1, 1))))
+
+
+def inspect(shot: Shot) -> tuple[list[str], dict[str, float]]:
+    """The gate: every broken promise of the dataset contract, one line each, and the quality.
+
+    No problem means that the shot may be stored. The figures are empty if shapes or values are so
+    wrong that none can be computed.
+    """
+    if problems := _shapes(shot) or _values(shot):
+        return problems, {}
+    figures = quality(shot)
+    f = figures.__getitem__
+    margin = LANDMARK_MARGIN * np.array([shot.depth.shape[1], shot.depth.shape[0]])
+    points = np.asarray(shot.meta["landmarks"]["points"], float)
+    outside = (points < -margin) | (points > margin / LANDMARK_MARGIN + margin)
+    checks = [
+        (f("mask_fraction") >= MIN_MASK, f"mask covers {f('mask_fraction'):.2%} of the frame"),
+        (f("mask_overlap") >= MASK_OVERLAP, f"alpha and parts overlap {f('mask_overlap'):.2f}"),
+        (abs(f("normal_length") - 1) <= NORMAL_LENGTH, f"median |n| is {f('normal_length'):.3f}"),
+        (
+            f("normal_angle") <= NORMAL_ANGLE,
+            f"normals are {f('normal_angle'):.0f} degrees off the depth",
+        ),
+        (not outside.any(), f"{int(outside.any(1).sum())} landmarks outside the declared bounds"),
+        (
+            f("landmark_pixels") <= LANDMARK_PIXELS,
+            f"landmarks are {f('landmark_pixels'):.2f} px off their projection",
+        ),
+        (
+            f("landmark_depth") <= LANDMARK_DEPTH,
+            f"depth is {f('landmark_depth') * 1e3:.1f} mm off the visible landmarks",
+        ),
+        (
+            (levels := _light_levels(shot)) <= LIGHT_LEVELS,
+            f"a picture is {levels} levels off its linear light",
+        ),
+        (f("level_min") >= DARK, f"black image: mean level {f('level_min'):.1f}"),
+        (f("level_max") <= BRIGHT, f"white image: mean level {f('level_max'):.1f}"),
+        (f("contrast_min") > 0, "an image of one colour"),
+    ]
+    return [message for passed, message in checks if not passed], figures
+
+
+def _shapes(shot: Shot) -> list[str]:
+    height, width = shot.depth.shape[:2]
+    count = len(shot.meta.get("environments", ()))
+    expected = {
+        "rgb": ((count, height, width, shot.rgb.shape[-1]), np.uint8),
+        "albedo": ((height, width, 3), np.uint8),
+        "normal": ((height, width, 3), np.float16),
+        "depth": ((height, width), np.float32),
+        "uv": ((height, width, 2), np.float32),
+        "canonical": ((height, width, 3), np.float32),
+        "alpha": ((height, width), np.uint8),
+        "parts": ((height, width), np.uint8),
+    }
+    if shot.hdr is not None:
+        expected["hdr"] = ((count, height, width, 4), np.float16)
+    problems = []
+    for name, (shape, dtype) in expected.items():
+        array = getattr(shot, name)
+        if array.shape != shape or array.dtype != dtype:
+            problems.append(f"{name} is {array.dtype} {array.shape}, not {np.dtype(dtype)} {shape}")
+    if shot.rgb.shape[-1] not in (3, 4):
+        problems.append(f"rgb has {shot.rgb.shape[-1]} channels")
+    controls = {
+        shot.geometry.get(f"control_{what}{suffix}", np.empty(0)).shape
+        for what in ("points", "normals")
+        for suffix in ("", "_canonical")
+    }
+    if len(controls) > 1 or (shape := controls.pop())[1:] != (3,) or not shape[0]:
+        problems.append("geometry has no control points and normals of one shape (N, 3)")
+    camera = shot.meta.get("camera", {})
+    if (camera.get("width"), camera.get("height")) != (width, height):
+        problems.append("the camera's size is not the image's")
+    for name in ("landmarks", "landmarks_canonical"):
+        if name not in shot.geometry or shot.geometry[name].shape != (70, 3):
+            problems.append(f"geometry has no {name} of shape (70, 3)")
+    exposures = shot.meta.get("exposures", ())
+    if len(exposures) != count:
+        problems.append(f"meta has {len(exposures)} exposures for {count} environments")
+    names, joints = shot.meta.get("joints", ()), shot.geometry.get("joints", np.empty(0))
+    if not names or joints.shape != (len(names), 4, 4):
+        problems.append(f"geometry has joints {joints.shape} for {len(names)} names in meta")
+    landmarks = shot.meta.get("landmarks", {})
+    if len(landmarks.get("points", ())) != 70 or len(landmarks.get("visible", ())) != 70:
+        problems.append("meta has no 70 landmarks with visibility")
+    return problems
+
+
+def _values(shot: Shot) -> list[str]:
+    problems = []
+    arrays = {name: getattr(shot, name) for name in ("normal", "depth", "uv", "canonical")}
+    if shot.hdr is not None:
+        arrays["hdr"] = shot.hdr
+    arrays |= {f"geometry {name}": array for name, array in shot.geometry.items()}
+    for name, array in arrays.items():
+        if array.dtype.kind == "f" and not np.isfinite(array).all():
+            problems.append(f"{name} has {int((~np.isfinite(array)).sum())} NaN or Inf values")
+    mask = shot.parts > 0
+    if not mask.any():
+        problems.append("empty mask")
+    illegal = set(np.unique(shot.parts).tolist()) - set(PART_IDS)
+    if illegal:
+        problems.append(f"unknown part ids {sorted(illegal)}")
+    if ((shot.depth > 0) != mask).any() or (shot.depth < 0).any():
+        problems.append("depth is not positive exactly where parts are labelled")
+    for name in ("normal", "uv", "canonical"):
+        if getattr(shot, name)[~mask].any():
+            problems.append(f"{name} is not 0 in the background")
+    exposures = np.asarray(shot.meta["exposures"], float)
+    if not (np.isfinite(exposures) & (exposures > 0)).all():
+        problems.append(f"exposures {exposures.tolist()} are not all finite and positive")
+    matrix = np.asarray(shot.meta["camera"]["camera_to_world"], float)
+    intrinsics = np.asarray(shot.meta["camera"]["intrinsics"], float)
+    if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
+        problems.append("camera_to_world is not a finite 4x4 matrix")
+    else:
+        rotation = matrix[:3, :3]
+        error = np.abs(rotation @ rotation.T - np.eye(3)).max()
+        if error > ROTATION_ERROR or np.linalg.det(rotation) < 0:
+            problems.append(f"the camera's rotation is not in SO(3) (error {error:.1e})")
+    if intrinsics.shape != (3, 3) or not np.isfinite(intrinsics).all() or intrinsics[0, 0] <= 0:
+        problems.append("intrinsics are not a finite 3x3 matrix with a positive focal length")
+    return problems

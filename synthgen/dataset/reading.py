@@ -1,0 +1,170 @@
+"""Reading a dataset: shots decoded to numpy, lazily, by subset, split and SQL filter.
+
+    for shot in open_dataset("out/demo", subset="multiview", split="train"):
+        shot.rgb, shot.depth, shot.meta["camera"]
+
+Needs neither Blender nor torch. A dataset that is still being rendered reads as far as it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from synthgen.dataset import ledger, manifest
+from synthgen.dataset.codecs import decode_exr
+from synthgen.dataset.shards import MEMBER_OF, decode, decode_fields, read_sample
+from synthgen.dataset.shot import Shot
+
+
+@dataclass(frozen=True)
+class Index:
+    """Where N shots lie: `key` (N,) str, `offset` and `size` (N,) bytes in `shards[shard]`."""
+
+    key: np.ndarray
+    shard: np.ndarray
+    offset: np.ndarray
+    size: np.ndarray
+    shards: tuple[str, ...]
+
+    def subset(self, position: int) -> str:
+        return self.shards[self.shard[position]].split("/")[1]
+
+
+class Dataset:
+    """Shots of a dataset in manifest order; made by `open_dataset`.
+
+    `len(dataset)`, `dataset[3]`, `dataset["s000123_p04"]`, `for shot in dataset`. Only the index
+    (some 50 bytes a shot) is kept in memory; files are opened per access, so instances may be sent
+    to other processes.
+    """
+
+    def __init__(self, folder: Path, index: Index) -> None:
+        self.folder = folder
+        self.index = index
+
+    def __len__(self) -> int:
+        return len(self.index.key)
+
+    def __iter__(self) -> Iterator[Shot]:
+        for position in range(len(self)):
+            yield self[position]
+
+    def __getitem__(self, which: int | str) -> Shot:
+        """A shot by position or by key ("s000123_p04", or "multiview/s000123_p04").
+
+        Raises `IndexError` or `KeyError` if there is none, `KeyError` if a key is ambiguous,
+        `ValueError` if its bytes are damaged.
+        """
+        position = self.position(which)
+        return decode(str(self.index.key[position]), self._members(position))
+
+    def find(self, key: str) -> Shot:
+        """`dataset[key]` for a key that a user typed: raises `StorageError` with one line."""
+        try:
+            return self[key]
+        except (KeyError, ValueError) as error:
+            raise ledger.StorageError(f"{self.folder}: {error.args[0]}") from None
+
+    def read(self, which: int | str, fields: tuple[str, ...]) -> dict[str, Any]:
+        """Decode some fields only: `rgb_00`, `hdr_00`, `albedo`, `normal`, `depth`, `meta`, …"""
+        wanted = {MEMBER_OF.get(f, f + (".exr" if f.startswith("hdr") else ".png")) for f in fields}
+        decoded = decode_fields(self._members(self.position(which), wanted))
+        return {name: decoded[name] for name in fields}
+
+    def keys(self) -> list[str]:
+        """ "<subset>/<key>" of all shots in order."""
+        return [f"{self.index.subset(i)}/{key}" for i, key in enumerate(self.index.key)]
+
+    def subjects(self) -> dict[tuple[str, str], list[int]]:
+        """(subset, subject) -> positions of its shots, in order."""
+        grouped: dict[tuple[str, str], list[int]] = {}
+        for position, key in enumerate(self.index.key):
+            subject = (self.index.subset(position), str(key).split("_")[0])
+            grouped.setdefault(subject, []).append(position)
+        return grouped
+
+    def environment(self, identifier: str) -> np.ndarray:
+        """A panorama, (H, 2H, 3) float32, linear Rec.709 radiance.
+
+        Raises `KeyError` if the dataset has no environment of that id.
+        """
+        path = self.folder / "environments" / f"{identifier}.exr"
+        if not path.exists():
+            raise KeyError(identifier)
+        planes = decode_exr(path.read_bytes())
+        return np.stack([planes[c] for c in "RGB"], -1).astype(np.float32)
+
+    def position(self, which: int | str) -> int:
+        """The place of a shot given by place or key; raises as `dataset[which]` does."""
+        if not isinstance(which, str):
+            if not -len(self) <= which < len(self):
+                raise IndexError(f"{len(self)} shots, no number {which}")
+            return int(which) % len(self)
+        subset, _, name = which.rpartition("/")
+        found = [int(i) for i in np.flatnonzero(self.index.key == name)]
+        if subset:
+            found = [i for i in found if self.index.subset(i) == subset]
+        if not found:
+            example = f"; keys look like {self.keys()[0]}" if len(self) else ""
+            raise KeyError(f"no shot {which}{example}")
+        if len(found) > 1:
+            options = " or ".join(f"{self.index.subset(i)}/{name}" for i in found)
+            raise KeyError(f"{which} is ambiguous: say {options}")
+        return found[0]
+
+    def _members(self, position: int, wanted: set[str] | None = None) -> dict[str, bytes]:
+        index = self.index
+        path = self.folder / index.shards[index.shard[position]]
+        return read_sample(path, int(index.offset[position]), int(index.size[position]), wanted)
+
+
+def open_dataset(
+    folder: Path | str,
+    subset: str | None = None,
+    split: str | None = None,
+    where: str | None = None,
+) -> Dataset:
+    """Open a dataset folder; `where` is an SQL condition on the manifest's columns.
+
+    Raises `StorageError` if the folder is no dataset, has no such subset or split, or the
+    condition is wrong.
+    """
+    import duckdb
+
+    folder = Path(folder)
+    info = ledger.read_dataset_json(folder)
+    if subset is not None and subset not in info["plan"]:
+        raise ledger.StorageError(f"{folder}: no subset {subset}; it has {', '.join(info['plan'])}")
+    if split not in (None, "train", "validation", "test"):
+        raise ledger.StorageError(f"split {split!r}: must be train, validation or test")
+    conditions = [f"({where})"] if where else []
+    values = []
+    for name, value in (("subset", subset), ("split", split)):
+        if value is not None:
+            conditions.append(f"{name} = ?")
+            values.append(value)
+    clause = f" WHERE {' AND '.join(conditions)}" if conditions else ""
+    with manifest.connect(folder) as connection:
+        try:
+            rows = connection.execute(
+                f'SELECT "key", shard, "offset", "size" FROM manifest{clause}', values
+            )
+            return Dataset(folder, _index(rows))
+        except duckdb.Error as error:
+            raise ledger.StorageError(f"where: {' '.join(str(error).split())}") from None
+
+
+def _index(rows: Any) -> Index:
+    codes: dict[str, int] = {}
+    keys, shards, places = [np.empty(0, "U1")], [np.empty(0, np.int32)], [np.empty((0, 2), int)]
+    while chunk := rows.fetchmany(20_000):
+        keys.append(np.array([row[0] for row in chunk]))
+        shards.append(np.array([codes.setdefault(row[1], len(codes)) for row in chunk], np.int32))
+        places.append(np.array([row[2:] for row in chunk], np.int64))
+    offset, size = np.concatenate(places).T
+    return Index(np.concatenate(keys), np.concatenate(shards), offset, size, tuple(codes))

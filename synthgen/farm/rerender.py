@@ -1,0 +1,154 @@
+"""Rendering one shot again from what the dataset records, and how far it comes out the same."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import json
+import pickle
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from synthgen.dataset import ledger
+from synthgen.dataset.codecs import encode_json
+from synthgen.dataset.reading import open_dataset
+from synthgen.dataset.shards import MEMBER_OF
+from synthgen.dataset.shot import Shot
+from synthgen.farm.process import start
+from synthgen.farm.run import time_allowed
+from synthgen.farm.worker import Orders, end_process, load_renderer, reason_of, redirect
+from synthgen.planning.plan import SubjectPlan
+from synthgen.publish import publish
+
+
+@dataclass(frozen=True)
+class Difference:
+    """How one field differs: the largest absolute difference, and the share of other values."""
+
+    largest: float
+    share: float
+
+
+@dataclass(frozen=True)
+class Report:
+    """Field -> difference, of the shot `key` ("<subset>/<key>"). `str()` is a table for people."""
+
+    key: str
+    fields: dict[str, Difference]
+
+    @property
+    def identical(self) -> bool:
+        return all(d.share == 0 for d in self.fields.values())
+
+    def __str__(self) -> str:
+        lines = [f"{self.key}: {'identical' if self.identical else 'differs'}"]
+        for name, d in self.fields.items():
+            text = "equal" if d.share == 0 else f"{d.share:.2%} differ, at most {d.largest:.3g}"
+            lines.append(f"  {name:<26} {text}")
+        return "\n".join(lines)
+
+
+def rerender(
+    out: Path | str,
+    key: str,
+    subset: str | None = None,
+    device: str = "cpu",
+    threads: int = 1,
+    time_limit: float | None = None,
+) -> Report:
+    """Render the shot `key` again from dataset.json alone and compare it with what is stored.
+
+    Raises `StorageError` if there is no such shot or the renderer fails.
+    """
+    out = Path(out)
+    dataset = open_dataset(out, subset=subset)
+    stored = dataset.find(key)
+    plan = publish.stored_plan(out)
+    subject = plan.subject(stored.meta["subset"], stored.meta["index"])
+    shots = tuple(shot for shot in subject.shots if shot.key == stored.key)
+    if not shots:
+        raise ledger.StorageError(f"{out}: the recorded job has no shot {key}")
+    subject = subject.model_copy(update={"shots": shots})
+    renderer = ledger.read_dataset_json(out)["renderer"]
+    with tempfile.TemporaryDirectory() as folder:
+        orders = Orders(plan.job, out, renderer, device, threads, Path(folder) / "log")
+        target = Path(folder) / "shot"
+        process = start(_render, orders, subject, target)
+        process.join(time_allowed(plan.job, subject.frames) if time_limit is None else time_limit)
+        if process.is_alive():
+            process.kill()
+            process.join()
+        if not target.exists():
+            lines = [""]
+            with contextlib.suppress(OSError):
+                lines = (orders.log.read_text(errors="replace").strip() or " ").splitlines()
+            raise ledger.StorageError(f"{key}: rendering it again failed: {lines[-1][:200]}")
+        again: Shot = pickle.loads(target.read_bytes())
+    return compare(stored, again)
+
+
+def compare(stored: Shot, again: Shot) -> Report:
+    """The difference of two shots, field by field; `inf` where shapes or words differ."""
+    fields: dict[str, Difference] = {}
+    for name in ("rgb", "hdr"):
+        ours, theirs = getattr(stored, name), getattr(again, name)
+        pairs = itertools.zip_longest(
+            () if ours is None else ours, () if theirs is None else theirs
+        )
+        for i, (a, b) in enumerate(pairs):
+            fields[f"{name}_{i:02d}"] = _difference(a, b)
+    for name in MEMBER_OF:
+        if name not in ("geometry", "meta"):
+            fields[name] = _difference(getattr(stored, name), getattr(again, name))
+    for name in sorted(stored.geometry | again.geometry):
+        ours, theirs = stored.geometry.get(name), again.geometry.get(name)
+        fields[f"geometry {name}"] = _difference(ours, theirs)
+    # As it would be stored: a renderer may give tuples and numbers of NumPy.
+    meta = json.loads(encode_json(again.meta))
+    for name in sorted(stored.meta | meta):
+        fields[f"meta {name}"] = _meta_difference(stored.meta.get(name), meta.get(name))
+    return Report(f"{stored.meta['subset']}/{stored.key}", fields)
+
+
+def _meta_difference(a: Any, b: Any) -> Difference:
+    """Of the numbers in two JSON values, if these are not equal; `inf` if the rest differs."""
+    if a == b:
+        return Difference(0.0, 0.0)
+    gap = _difference(_numbers(a), _numbers(b))
+    return gap if gap.share else Difference(float("inf"), 1.0)
+
+
+def _difference(a: np.ndarray | None, b: np.ndarray | None) -> Difference:
+    if a is None or b is None or a.shape != b.shape:
+        return Difference(float("inf"), 1.0)
+    gap = np.abs(a.astype(np.float64) - b.astype(np.float64))
+    return Difference(float(gap.max(initial=0)), float((gap > 0).mean()) if gap.size else 0.0)
+
+
+def _numbers(value: Any) -> np.ndarray:
+    """All numbers in a JSON value, in order."""
+    if isinstance(value, dict):
+        value = [value[name] for name in sorted(value)]
+    if isinstance(value, list):
+        return np.concatenate([_numbers(v) for v in value]) if value else np.empty(0)
+    return np.array([value], float) if isinstance(value, int | float) else np.empty(0)
+
+
+def _render(orders: Orders, subject: SubjectPlan, target: Path) -> None:
+    """Runs in its own process."""
+    redirect(orders.log)
+    try:
+        rendered = load_renderer(orders.renderer)(
+            subject, orders.job, orders.out / "environments", orders.device, orders.threads
+        )
+        temporary = target.with_suffix(".tmp")
+        temporary.write_bytes(pickle.dumps(rendered.shots[0]))
+        temporary.replace(target)
+    except Exception as error:
+        print(reason_of(error))
+        end_process(1)
+    end_process(0)

@@ -1,0 +1,1 @@
+"""Pictures of a dataset: contact sheets, one shot with its passes."""

@@ -1,0 +1,183 @@
+"""The contact sheet of a dataset."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image, ImageDraw
+
+from synthgen.dataset import ledger
+from synthgen.dataset.reading import Dataset, open_dataset
+from synthgen.dataset.shot import Shot
+from synthgen.pictures.page import EDGE, FAINT, GAP, INK, PAPER, Tile, font, put, save, thumbnail
+from synthgen.pictures.passes import passes
+
+SHEET = 1560
+
+
+@dataclass
+class _Block:
+    """Subjects of one subset on the sheet: S shots (columns) under L environments (rows) each."""
+
+    title: str
+    subjects: list[list[Shot]]
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        return min(len(self.subjects[0]), 8), min(len(self.subjects[0][0].rgb), 4)
+
+    @property
+    def per_line(self) -> int:
+        return min(max(1, (SHEET - 2 * EDGE) // (self.shape[0] * 150)), len(self.subjects))
+
+    @property
+    def tile(self) -> int:
+        inside = SHEET - 2 * EDGE - (self.per_line - 1) * 3 * GAP
+        return min((inside // self.per_line - (self.shape[0] - 1) * 2) // self.shape[0], 240)
+
+
+def sheet(out: Path | str, target: Path | str, subjects: int = 6) -> Path:
+    """Draw a contact sheet with up to `subjects` subjects of each subset. Returns `target`.
+
+    First a big picture of everybody, then each subject with its views or frames (columns) under
+    its environments (rows), the passes of one shot, and the environments. Raises `StorageError`
+    if nothing is finished yet.
+    """
+    out = Path(out)
+    info = ledger.read_dataset_json(out)
+    dataset = open_dataset(out)
+    grouped = dataset.subjects()
+    blocks = []
+    for subset, plan in info["plan"].items():
+        chosen = _spread([p for (s, _), p in grouped.items() if s == subset], subjects)
+        shots = [[dataset[i] for i in _spread(positions, 8)] for positions in chosen]
+        if shots:
+            blocks.append(_Block(_title(subset, plan), shots))
+    page = _Sheet(info, dataset, blocks)
+    people, frames = len(grouped), sum(_lights(info, s) * len(p) for (s, _), p in grouped.items())
+    height = page.draw(None, people, frames)
+    image = Image.new("RGB", (SHEET, height), PAPER)
+    page.draw(image, people, frames)
+    return save(image, Path(target))
+
+
+def portraits(out: Path | str, target: Path | str, people: int = 10, columns: int = 5) -> Path:
+    """Draw one picture of each of up to `people` subjects, `columns` in a row. Returns `target`."""
+    dataset = open_dataset(Path(out))
+    chosen = [dataset[positions[0]] for positions in list(dataset.subjects().values())[:people]]
+    size = SHEET // columns
+    image = Image.new("RGB", (size * columns, size * -(-len(chosen) // columns)), PAPER)
+    for i, shot in enumerate(chosen):
+        put(image, Tile(shot.rgb[0], (i % columns) * size, (i // columns) * size, size, size))
+    return save(image, Path(target))
+
+
+class _Sheet:
+    """Lays the sheet out from top to bottom; without an image it only measures."""
+
+    def __init__(self, info: dict[str, Any], dataset: Dataset, blocks: list[_Block]) -> None:
+        self.info, self.dataset, self.blocks = info, dataset, blocks
+        self.y = 0
+        self.image: Image.Image | None = None
+
+    def draw(self, image: Image.Image | None, people: int, frames: int) -> int:
+        """Draw everything on `image`; returns the height it takes."""
+        self.image, self.y = image, EDGE
+        self._text(self.info["name"], 34, INK, 42)
+        resolution = self.info["job"]["resolution"]
+        self._text(
+            f"{people} people, {frames} images of {resolution} x {resolution} pixels", 15, FAINT, 34
+        )
+        self._heroes()
+        for block in self.blocks:
+            self._text(block.title, 17, INK, 32)
+            self._block(block)
+        strip = (SHEET - 2 * EDGE - 7 * GAP) // 8
+        self._text("passes of one shot, shared by its environments", 17, INK, 32)
+        shown = passes(self.blocks[0].subjects[0][0]) if image else dict.fromkeys(range(8))
+        for i, (name, picture) in enumerate(shown.items()):
+            self._tile(picture, EDGE + i * (strip + GAP), self.y, strip, strip, str(name))
+        self.y += strip + 32
+        self._text("environments", 17, INK, 32)
+        for i, name in enumerate(names := self._environments()):
+            x, row = EDGE + (i % 8) * (strip + GAP), i // 8
+            picture = thumbnail(self.dataset, name, strip) if image else None
+            top = self.y + row * (strip // 2 + 26)
+            self._tile(picture, x, top, strip, strip // 2, name)
+        return self.y + -(-len(names) // 8) * (strip // 2 + 26) + EDGE
+
+    def _heroes(self) -> None:
+        """A big picture of everybody, in full lines where that is possible."""
+        shots = [s[len(s) // 2] for block in self.blocks for s in block.subjects][:12]
+        columns = min(
+            (c for c in (3, 4, 5, 6) if c <= max(len(shots), 3)),
+            key=lambda c: (-len(shots) % c, abs(c - 4)),
+        )
+        size = (SHEET - 2 * EDGE - (columns - 1) * GAP) // columns
+        for i, shot in enumerate(shots):
+            x, y = EDGE + (i % columns) * (size + GAP), self.y + (i // columns) * (size + GAP)
+            self._tile(shot.rgb[i % len(shot.rgb)], x, y, size, size)
+        self.y += -(-len(shots) // columns) * (size + GAP) + 14
+
+    def _block(self, block: _Block) -> None:
+        columns, rows = block.shape
+        tile = block.tile
+        width, height = columns * (tile + 2) - 2, rows * (tile + 2) - 2
+        for i, shots in enumerate(block.subjects):
+            left = EDGE + (i % block.per_line) * (width + 3 * GAP)
+            top = self.y + (i // block.per_line) * (height + 26)
+            for column in range(columns):
+                for row in range(rows):
+                    x, y = left + column * (tile + 2), top + row * (tile + 2)
+                    label = ""
+                    if column == 0 and row == rows - 1:
+                        label = _person(shots[0])
+                    self._tile(shots[column].rgb[row], x, y, tile, tile, label)
+        self.y += -(-len(block.subjects) // block.per_line) * (height + 26) + 14
+
+    def _environments(self) -> list[str]:
+        names = [
+            use["id"]
+            for block in self.blocks
+            for shots in block.subjects
+            for use in shots[0].meta["environments"]
+        ]
+        return list(dict.fromkeys(names))[:16]
+
+    def _text(self, text: str, size: int, colour: tuple[int, int, int], height: int) -> None:
+        if self.image is not None:
+            ImageDraw.Draw(self.image).text((EDGE, self.y), text, colour, font(size))
+        self.y += height
+
+    def _tile(
+        self, picture: np.ndarray | None, x: int, y: int, width: int, height: int, label: str = ""
+    ) -> None:
+        if self.image is not None and picture is not None:
+            put(self.image, Tile(picture, x, y, width, height, label))
+
+
+def _title(subset: str, plan: dict[str, Any]) -> str:
+    each = "views" if plan["kind"] == "multiview" else "frames of a track"
+    shots = plan["shots_per_subject"]
+    return f"{subset}: {shots} {each} under {plan['frames_per_subject'] // shots} environments"
+
+
+def _person(shot: Shot) -> str:
+    person = shot.meta["person"]
+    names = " over ".join(use["id"] for use in shot.meta["environments"][:4])
+    return f"{shot.meta['subject']}   {person['age_years']:.0f} years, {names}"
+
+
+def _lights(info: dict[str, Any], subset: str) -> int:
+    plan = info["plan"][subset]
+    return plan["frames_per_subject"] // plan["shots_per_subject"]
+
+
+def _spread(items: list[Any], count: int) -> list[Any]:
+    """At most `count` of the items, evenly chosen."""
+    if len(items) <= count:
+        return items
+    return [items[i] for i in np.linspace(0, len(items) - 1, count).astype(int)]

@@ -1,0 +1,1 @@
+"""Jobs and what they amount to: subjects, shots, cameras."""

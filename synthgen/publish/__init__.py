@@ -1,0 +1,1 @@
+"""Finished datasets: card, Croissant, licences, export, verification."""

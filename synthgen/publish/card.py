@@ -1,0 +1,104 @@
+"""The dataset card: README.md with the header that the Hugging Face hub reads."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from synthgen.planning.plan import SPLITS
+from synthgen.publish.licences import licence
+
+# member -> what it is
+FIELDS = {
+    "rgb_00.png": "Display-referred image under environment 00 (01, 02, … for the others)",
+    "hdr_00.exr": "Linear Rec.709 premultiplied foreground, half float",
+    "albedo.png": "True base colour, sRGB",
+    "aov.exr": "normal.XYZ (camera space), depth.Z (planar, metres), uv.UV, canonical.XYZ (metres)",
+    "alpha.png": "Soft matte",
+    "parts.png": "FaceSynthetics part ids 0-18, 255 = ignore",
+    "geometry.npz": "Control points posed and canonical, normals, joints, 3D landmarks",
+    "meta.json": "Camera, environments, exposures, expression, pose, gaze, 2D landmarks, seeds; "
+    "`person` is a JSON string",
+}
+
+
+def totals(info: dict[str, Any]) -> dict[str, int]:
+    """Subjects, shots and frames of a complete dataset."""
+    each = [split for subset in info["counts"].values() for split in subset.values()]
+    return {what: sum(c[what] for c in each) for what in ("subjects", "shots", "frames")}
+
+
+def _splits(info: dict[str, Any], subset: str) -> list[str]:
+    return [s for s in SPLITS if info["counts"][subset][s]["shots"]]
+
+
+def card(info: dict[str, Any]) -> str:
+    """README.md with the YAML header that the Hugging Face hub reads: configs = subsets."""
+    lines = ["---", f"license: {licence(info)[0]}", f"pretty_name: {info['name']}", "tags:"]
+    lines += ["- webdataset", "- synthetic", "- portraits", "- relighting"]
+    lines += ["task_categories:", "- image-to-image", "configs:"]
+    for subset in info["plan"]:
+        lines += [f"- config_name: {subset}", "  data_files:"]
+        for split in _splits(info, subset):
+            lines += [f"  - split: {split}", f"    path: data/{subset}/{split}-*.tar"]
+    lines += ["---", "", f"# {info['name']}", ""]
+    total, job = totals(info), info["job"]
+    lines += [
+        f"{total['frames']} synthetic portraits of {total['subjects']} people at "
+        f"{job['resolution']}², rendered by synthgen {info['code']['version']} with seed "
+        f"{job['seed']}. Every person is made of parameters; nobody is real.",
+        "",
+        "| subset | kind | split | subjects | shots | images |",
+        "|---|---|---|---:|---:|---:|",
+    ]
+    for subset, plan in info["plan"].items():
+        for split in _splits(info, subset):
+            c = info["counts"][subset][split]
+            lines.append(
+                f"| {subset} | {plan['kind']} | {split} | {c['subjects']} | {c['shots']} "
+                f"| {c['frames']} |"
+            )
+    if info["quarantined"]:
+        lines += ["", f"{len(info['quarantined'])} subjects failed and are left out."]
+    lines += ["", "## A sample", "", "| field | content |", "|---|---|"]
+    lines += [f"| `{name}` | {text} |" for name, text in _fields(info).items()]
+    first = next(iter(info["plan"]))
+    split = next(iter(_splits(info, first)), "train")
+    lines += [
+        "",
+        "World: metres, Z up, the head looks along -Y. Cameras: `camera_to_world` with OpenGL "
+        "axes, `intrinsics` in pixels, pixel centres at +0.5. Undefined pixels are 0.",
+        "",
+        "## Reading it",
+        "",
+        "```python",
+        "from synthgen.dataset import open_dataset",
+        "",
+        f'for shot in open_dataset("PATH", subset="{first}", split="{split}"):',
+        "    print(shot.key, shot.rgb.shape, shot.depth.max())",
+        "```",
+        "",
+        "```python",
+        "import datasets",
+        "",
+        f'shots = datasets.load_dataset("PATH", "{first}", split="{split}")',
+        "```",
+        "",
+        "## Licences of what it is made of",
+        "",
+        "| asset | for | licence |",
+        "|---|---|---|",
+    ]
+    lines += [
+        f"| [{entry['name']}]({entry['source']}) | {entry['used_for']} | {entry['licence']} |"
+        for entry in info["licences"]
+    ]
+    lines += [
+        f"| {entry['id']} ({entry['author'] or entry['source']}) | panorama | {entry['licence']} |"
+        for entry in info["environments"][:100]
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _fields(info: dict[str, Any]) -> dict[str, str]:
+    linear = info["job"]["image"]["linear"]
+    return {name: text for name, text in FIELDS.items() if linear or not name.startswith("hdr")}

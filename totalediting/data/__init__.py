@@ -1,0 +1,1 @@
+"""What models train on: shots, pairs, portraits, clips."""

@@ -1,0 +1,1 @@
+"""Space, volume rendering, deformation, and the bust as control points."""

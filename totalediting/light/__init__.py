@@ -1,0 +1,1 @@
+"""Lightmaps and Phong shading."""

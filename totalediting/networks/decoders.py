@@ -1,0 +1,274 @@
+"""Point-wise decoders: what a point of the volume is, from the tri-planes' features there.
+
+Symbols: B batch, N points, C = preset.plane_channels, L = frontal.LAID, h rows of a lightmap; t_geo
+features of the geometry's tri-plane (B, N, C), i how far points are inside the skin, t_shd features
+of the shading's tri-plane and of the source laid onto the bust (B, N, C + L). Vectors are unit and
+in model space (metres, Z up), posed unless called canonical: normal n, view v (from the point to
+the viewer), r = v reflected at n. Lightmaps have a frame of their own, into which `to_light` takes
+model space. Light, colour and shadings are linear Rec.709, or display-referred where
+`preset.colour` is "srgb".
+
+    sigma = D_geo([t_geo, i])                   n^c, a', w = D_f(t_shd)
+    a = sigmoid(logit(source) + a')
+    k_d = D_d([t_shd, n])                       k_s(e) = D_s([t_shd, r])
+    delta = D_delta([a, s_d, s_s(e) ...])
+    c = k_d a * s_d + sum_e k_s(e) s_s(e) + delta                (paper, section 3.3, eq. render)
+
+The source is the colour that I_app shows at the point: the albedo starts there, and D_f takes light
+and shadow off it. Hidden layers are Softplus, as in EG3D (Chan et al. 2022). First and last layers
+are drawn so that a fresh network is the bust in a translucent fog (`FRESH`), with the source's
+colour, k_d = 1, small k_s and no residual. These networks are small and must become steep, so they
+learn at `PACE` times the rate of the others.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from totalediting.geometry.frontal import LAID, colour_of
+from totalediting.light.lightmaps import LOBES, SHININESS, encode, sample
+from totalediting.light.phong import display, reflect, undisplay
+from totalediting.networks.blocks import linear
+from totalediting.presets import Preset
+
+DENSITY_SCALE = 50.0
+"""1/metre: density is this times softplus(x - 1).
+
+EG3D's density is per side of its box, ours of 0.6 m, which would be a scale of 1.7 / m. With 50 / m
+a surface that stops 95 % of the light within 5 mm (600 / m) needs only x = 13.
+"""
+FRESH = -3.0
+"""Mean of a fresh x: about 0.9 / m, which stops two fifths of the light across a box of 0.6 m."""
+FULL = 12.0
+"""What fresh x is more inside the skin: 400 / m, which stops all light within 1 cm."""
+SKIN = 0.016
+"""Thickness over which that rises, in places: 2 mm at the face, see `space`."""
+PACE = 6.0
+"""Their learning rate over that of all else; instant-NGP's for such networks is 1e-2."""
+FRESH_SPECULAR = 0.05
+"""A fresh specular coefficient, about the reflectance of skin at grazing and frontal angles."""
+
+ToPosed = Callable[[Tensor], Tensor]
+"""Turns canonical directions (B, N, 3) into posed ones: `Field.to_posed` at the points."""
+
+
+class Shading(NamedTuple):
+    """What points look like; colours and directions (B, N, 3). See the module for symbols."""
+
+    colour: Tensor
+    """c, the sum of diffuse, specular and residual; the residual may make it negative."""
+    albedo: Tensor
+    """a in [0, 1]."""
+    normal: Tensor
+    """n, unit, posed."""
+    canonical_normal: Tensor
+    """n^c, unit."""
+    diffuse: Tensor
+    """k_d a * s_d."""
+    specular: Tensor
+    """The sum of k_s(e) s_s(e)."""
+    residual: Tensor
+    """delta."""
+    features: Tensor
+    """w (B, N, preset.features), for super-resolution."""
+    k_d: Tensor
+    """(B, N, 1) in [0, 2]."""
+    s_d: Tensor
+    """The diffuse map at n."""
+    k_s: Tensor
+    """(B, N, 4) in [0, 1], by exponents."""
+    s_s: Tensor
+    """(B, N, 4, 3): the specular maps at r."""
+
+
+class GeometryDecoder(nn.Module):
+    """D_geo: features (B, N, C) and `frontal.inside` (B, N) to density sigma (B, N) in 1/metre,
+    positive."""
+
+    def __init__(self, preset: Preset) -> None:
+        super().__init__()
+        self.net = _mlp(preset.plane_channels + 1, preset.hidden, 1)
+        _start(self.net, [FRESH], 1.0)
+
+    def forward(self, features: Tensor, inside: Tensor) -> Tensor:
+        skin = torch.sigmoid(inside / SKIN)
+        known = torch.cat([features, 2 * skin[..., None] - 1], -1)
+        x = self.net(known)[..., 0] + FULL * skin
+        return DENSITY_SCALE * functional.softplus(x - 1.0)
+
+
+class ShadingDecoder(nn.Module):
+    """D_shd of the paper's figure "Shading module": D_f, D_d, D_s and D_delta around lightmaps.
+
+    D_delta sees shadings as log(1 + s), the scale that lightmaps are predicted in: beside a sun of
+    1000, an albedo would be nothing to it.
+    """
+
+    def __init__(self, preset: Preset) -> None:
+        super().__init__()
+        channels, hidden = preset.plane_channels + LAID, preset.hidden
+        self.surface = _surface(preset)
+        self.diffuse = _mlp(channels + 3, hidden, 1)
+        _start(self.diffuse, [0.0], 0.05)
+        self.specular = _mlp(channels + 3, hidden, len(SHININESS))
+        unlit = math.log(FRESH_SPECULAR / (1.0 - FRESH_SPECULAR))
+        _start(self.specular, [unlit] * len(SHININESS), 0.05)
+        self.residual = _mlp(3 + 3 * len(LOBES), hidden, 3)
+        _start(self.residual, [0.0, 0.0, 0.0], 0.0)
+
+    def forward(
+        self, features: Tensor, to_posed: ToPosed, view: Tensor, lightmaps: Tensor, to_light: Tensor
+    ) -> Shading:
+        """Shading of points.
+
+        Args:
+            features: (B, N, C + L), t_shd.
+            to_posed: turns n^c into n.
+            view: (B, N, 3), v.
+            lightmaps: (B, 5, 3, h, 2h), normalised and >= 0, as `lightmaps.bake` makes them.
+            to_light: (B, 3, 3) rotation from model space into the lightmaps' frame.
+
+        Raises:
+            ValueError: a shape does not fit.
+        """
+        _check(features, view, lightmaps, to_light)
+        direction, added, w = self.surface(features).tensor_split((3, 6), -1)
+        albedo = torch.sigmoid(torch.logit(_source(features)) + added)
+        canonical = functional.normalize(direction, dim=-1)
+        normal = to_posed(canonical)
+        reflected = reflect(view, normal)
+
+        s_d = sample(lightmaps[:, 0], _turn(to_light, normal))
+        s_s = sample(lightmaps[:, 1:].flatten(1, 2), _turn(to_light, reflected))
+        k_d = 2.0 * torch.sigmoid(self.diffuse(torch.cat([features, normal], -1)))
+        k_s = torch.sigmoid(self.specular(torch.cat([features, reflected], -1)))
+        residual = self.residual(torch.cat([albedo, encode(s_d), encode(s_s)], -1))
+
+        s_s = s_s.unflatten(-1, (len(SHININESS), 3))
+        diffuse, specular = k_d * albedo * s_d, (k_s[..., None] * s_s).sum(-2)
+        return Shading(
+            colour=diffuse + specular + residual,
+            albedo=albedo,
+            normal=normal,
+            canonical_normal=canonical,
+            diffuse=diffuse,
+            specular=specular,
+            residual=residual,
+            features=w,
+            k_d=k_d,
+            s_d=s_d,
+            k_s=k_s,
+            s_s=s_s,
+        )
+
+
+class PlainDecoder(nn.Module):
+    """The baseline's colour decoder: colour from t_shd alone, the same in any light.
+
+    Called like `ShadingDecoder`. Colour is what the network adds to the source's, before Softplus
+    in linear light, sigmoid in display-referred. Albedo is the colour, the normal an output of its
+    own; what only light makes is 0.
+    """
+
+    def __init__(self, preset: Preset) -> None:
+        super().__init__()
+        self.surface = _surface(preset)
+        self.linear = preset.colour == "linear"
+
+    def forward(
+        self, features: Tensor, to_posed: ToPosed, view: Tensor, lightmaps: Tensor, to_light: Tensor
+    ) -> Shading:
+        """As `ShadingDecoder.forward`; of view, lightmaps and to_light only the shapes count."""
+        _check(features, view, lightmaps, to_light)
+        direction, added, w = self.surface(features).tensor_split((3, 6), -1)
+        canonical, source = functional.normalize(direction, dim=-1), _source(features)
+        if self.linear:
+            colour = functional.softplus(source.expm1().log() + added)
+        else:
+            colour = torch.sigmoid(torch.logit(display(source)) + added)
+        zero = torch.zeros_like(colour)
+        k_s = zero.new_zeros(*zero.shape[:-1], len(SHININESS))
+        return Shading(
+            colour=colour,
+            albedo=colour,
+            normal=to_posed(canonical),
+            canonical_normal=canonical,
+            diffuse=zero,
+            specular=zero,
+            residual=zero,
+            features=w,
+            k_d=zero[..., :1],
+            s_d=zero,
+            k_s=k_s,
+            s_s=k_s[..., None].expand(*k_s.shape, 3),
+        )
+
+
+class Decoders(nn.Module):
+    """D_geo as `geometry` and D_shd as `shading`, the kind that `preset.decoder` names."""
+
+    pace = PACE
+
+    def __init__(self, preset: Preset) -> None:
+        super().__init__()
+        self.geometry = GeometryDecoder(preset)
+        plain = preset.decoder == "plain"
+        self.shading = PlainDecoder(preset) if plain else ShadingDecoder(preset)
+
+
+def _mlp(inputs: int, hidden: int, outputs: int) -> nn.Sequential:
+    return nn.Sequential(linear(inputs, hidden), nn.Softplus(), linear(hidden, outputs))
+
+
+def _source(features: Tensor) -> Tensor:
+    """(B, N, 3) linear colour that the source shows, from t_shd; within (0, 1)."""
+    return undisplay(colour_of(features[..., -LAID:])).clamp(0.01, 0.99)
+
+
+def _surface(preset: Preset) -> nn.Sequential:
+    """Features to a direction, what is added to the source's colour before the activation, and w:
+    3 + 3 + preset.features."""
+    net = _mlp(preset.plane_channels + LAID, preset.hidden, 6 + preset.features)
+    # Normals start towards the face's side: one near zero would turn with every step.
+    _start(net, [0.0, -1.0, 0.0] + [0.0] * (3 + preset.features), 1.0)
+    last = net[-1]
+    assert isinstance(last, nn.Linear)
+    nn.init.zeros_(last.weight[3:6])
+    return net
+
+
+@torch.no_grad()
+def _start(net: nn.Sequential, values: list[float], spread: float) -> None:
+    """Let a fresh `net` give about `values`; `spread` scales what its last layer adds to them."""
+    last = net[-1]
+    assert isinstance(last, nn.Linear)
+    # Softplus is log 2 at 0, and what all hidden units have in common would shift the values.
+    last.weight.sub_(last.weight.mean(1, keepdim=True)).mul_(spread)
+    last.bias.copy_(torch.tensor(values))
+
+
+def _turn(to_light: Tensor, directions: Tensor) -> Tensor:
+    """Directions (B, N, 3) in the lightmaps' frame. Written out: TF32 would round them."""
+    x, y, z = directions.split(1, -1)
+    right, up, back = to_light[:, None].unbind(-1)
+    return x * right + y * up + z * back
+
+
+def _check(features: Tensor, view: Tensor, lightmaps: Tensor, to_light: Tensor) -> None:
+    if features.ndim != 3:
+        raise ValueError(f"features must be (B, N, C), got {tuple(features.shape)}")
+    batch, points = features.shape[:2]
+    if view.shape != (batch, points, 3):
+        raise ValueError(f"view must be {(batch, points, 3)}, got {tuple(view.shape)}")
+    if lightmaps.ndim != 5 or lightmaps.shape[:3] != (batch, len(LOBES), 3):
+        raise ValueError(
+            f"lightmaps must be ({batch}, {len(LOBES)}, 3, h, 2h), got {tuple(lightmaps.shape)}"
+        )
+    if to_light.shape != (batch, 3, 3):
+        raise ValueError(f"to_light must be {(batch, 3, 3)}, got {tuple(to_light.shape)}")

@@ -1,0 +1,1 @@
+"""Training in stages: loop, checkpoints, losses, metrics."""

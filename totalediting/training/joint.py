@@ -1,0 +1,277 @@
+"""The joint stage: everything together, L = L_rec + L_reg + L_adv (paper, supplement A).
+
+The model goes on from the stage `reconstruct`, the lightmap estimator from `lightmaps`; the last
+layer of its normals, which no light teaches, stands still. In every other step on synthetic pairs
+the light is what the estimator sees in the driver's picture, so that it learns from the result as
+well; else it is the truth. Real pairs, two frames of a clip, are described by the head tracker;
+their light is always the estimator's.
+
+The discriminator is trained in the same step by the same optimiser: the generator's term passes
+through a copy of its weights that receives no gradient, its own terms see pictures that receive
+none. So the two descend at once rather than in turns, and a run has one state to save. It judges
+synthetic pairs, whose canonical coordinates are known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import torch
+from torch import Tensor, nn
+from torch.func import functional_call
+from torch.nn import functional
+
+from totalediting.data.clips import ClipPair, Clips
+from totalediting.data.endless import loader
+from totalediting.data.pairs import Sample
+from totalediting.geometry.frontal import frontalise
+from totalediting.geometry.rig import camera_of, control_of
+from totalediting.light.lightmaps import encode, rotate
+from totalediting.model import Edit, TotalEditing
+from totalediting.networks import discriminator, lightmap_estimator
+from totalediting.networks.discriminator import Discriminator
+from totalediting.networks.head_tracker import HeadTracker
+from totalediting.networks.lightmap_estimator import LightmapEstimator
+from totalediting.presets import Preset
+from totalediting.pretrained.fetch import NetworkError
+from totalediting.pretrained.lpips import Lpips
+from totalediting.pretrained.sface import Recognition
+from totalediting.training import checkpoints, losses
+from totalediting.training.objective import Truth, terms, truth_of
+from totalediting.training.reconstruction import Pairs, edit_of, generator_on, validate
+
+R1_EVERY = 16
+"""Steps between penalties of the discriminator's gradient, each of which counts as many times."""
+R1 = 1.0
+"""Their gamma, EG3D's for faces of 128 pixels."""
+
+
+@dataclass(frozen=True)
+class RealClips:
+    """Real video in training, and how its light is found."""
+
+    clips: Clips
+    tracker: HeadTracker
+    """What describes frames; it does not learn."""
+    share: float = 0.5
+    """Of the steps that are real: 0 trains on synthetic data alone, 1 on real alone."""
+    light: Literal["random", "same", "consistent"] = "random"
+    """What the estimator sees: another frame of the clip, which tells nothing of the target (the
+    paper's), the target itself, or the target, held to what it sees in another frame by L1."""
+
+    def before(self, step: int) -> int:
+        """Real steps before a step: they are spread evenly."""
+        return int(self.share * step + 1e-9)
+
+    def at(self, step: int) -> bool:
+        """Whether a step is real."""
+        return self.before(step + 1) > self.before(step)
+
+
+Loss = tuple[Tensor, dict[str, float]]
+
+
+class Joint(nn.Module):
+    """Model, estimator and discriminator, which learn together.
+
+    Its `forward` is the objective itself: what several processes share must pass through it.
+    """
+
+    def __init__(
+        self,
+        preset: Preset,
+        faces: Tensor | None,
+        objective: Callable[[Sample | ClipPair, int], Loss] | None = None,
+    ) -> None:
+        super().__init__()
+        self.objective = objective
+        self.model = TotalEditing(preset, faces)
+        self.estimator = LightmapEstimator(preset)
+        self.discriminator = Discriminator(preset)
+        self.estimator.to_normal.requires_grad_(False)
+
+    def forward(self, batch: Sample | ClipPair, step: int) -> Loss:
+        assert self.objective is not None  # only training calls this
+        return self.objective(batch, step)
+
+
+class JointStage(Pairs):
+    """L_rec + L_reg + L_adv on pairs of one person.
+
+    `off` names the terms whose networks are not at hand, and why.
+    """
+
+    name = "joint"
+
+    def __init__(
+        self,
+        data: Path,
+        preset: Preset,
+        seed: int,
+        workers: int = 1,
+        faces: Tensor | None = None,
+        weights: losses.LossWeights = losses.OURS,
+        real: RealClips | None = None,
+    ) -> None:
+        super().__init__(data, preset, seed, workers)
+        self.weights, self.real = weights, real
+        self.network = Joint(preset, faces, self._objective)
+        self.texels = lightmap_estimator.texel_weights(preset.lightmap_height)
+        self.off: dict[str, str] = {}
+        self.lpips = self._others("lpips", lambda: Lpips("alex"))
+        self.recognition = self._others("identity", Recognition)
+
+    def start_from(self, run: Path) -> None:
+        """Take what the stages `reconstruct` and `lightmaps` of a run have learnt.
+
+        Raises:
+            InputError: one of them was not trained there.
+        """
+        for part, stage in (
+            (self.network.model, "reconstruct"),
+            (self.network.estimator, "lightmaps"),
+        ):
+            checkpoints.load_best(run / stage, part)
+
+    @property
+    def skipped(self) -> dict[str, str]:
+        """Training pairs and clips that could not be read, and why."""
+        return super().skipped | (self.real.clips.skipped if self.real else {})
+
+    def batches(self, first: int, size: int, rank: int, ranks: int) -> Iterator[Sample | ClipPair]:
+        real = self.real
+        if real is None:
+            yield from super().batches(first, size, rank, ranks)
+            return
+        before = real.before(first)
+        start = before * size * ranks
+        clips = iter(loader(real.clips, size, self.workers, start, rank=rank, world=ranks))
+        pairs = super().batches(first - before, size, rank, ranks)
+        step = first
+        while True:
+            yield next(clips) if real.at(step) else next(pairs)
+            step += 1
+
+    def loss(self, network: nn.Module, batch: Sample | ClipPair, step: int) -> Loss:
+        return network(batch, step)
+
+    def _objective(self, batch: Sample | ClipPair, step: int) -> Loss:
+        if isinstance(batch, Sample):
+            return self._synthetic(batch, step)
+        return self._real(batch, step)
+
+    def _real(self, batch: ClipPair, step: int) -> Loss:
+        """L_1, L_LPIPS, L_id, L_seg and L_n where a clip has mattes and normals, and L_reg."""
+        assert self.real is not None
+        joint, factors, real = self.network, self.weights.at(step), self.real
+        image, side = batch.mot_image, batch.mot_image.shape[-1]
+        generator = generator_on(image.device)
+        with torch.no_grad():
+            tracker = real.tracker.to(image.device).eval()
+            app, mot = tracker(batch.app_image), tracker(image)
+            control = control_of(mot)
+            shown = control_of(app).showing(control)
+            frontal = frontalise(batch.app_image, shown, *camera_of(app, side))
+            camera_to_world, intrinsics = camera_of(mot, side)
+        seen = batch.light_image if real.light == "random" else image
+        code = joint.estimator(seen).code
+        # A clip's camera stands still: what one frame sees of the light holds for all.
+        edit = joint.model(
+            batch.app_image,
+            frontal,
+            app.code,
+            mot.code,
+            control,
+            camera_to_world,
+            intrinsics,
+            lightmap_estimator.unfold(code.clamp_min(0).expm1(), joint.estimator.height),
+            camera_to_world[:, :3, :3].mT,
+            generator=generator,
+        )
+        normal = (camera_to_world[:, :3, :3] @ batch.normal.flatten(2)).view_as(batch.normal)
+        truth = Truth(image, batch.alpha, batch.matted, normal, None, None)
+        found = terms(joint.model, edit, truth, factors, generator)
+        if real.light == "consistent":
+            other = joint.estimator(batch.light_image).code
+            found["lightmap"] = losses.lightmap_loss(code, other, self.texels.to(code.device))
+        matte = batch.alpha
+        if self.lpips is not None:
+            found["lpips"] = self.lpips.to(image.device)(matte * edit.image, matte * image).mean()
+        if self.recognition is not None and factors["identity"]:
+            found["identity"] = self._identity(matte * edit.image, matte * image, mot.points(side))
+        total = losses.total(found, self.weights, step)
+        return total.loss, {f"real {name}": value for name, value in total.scalars.items()}
+
+    def _synthetic(self, batch: Sample, step: int) -> Loss:
+        joint, factors = self.network, self.weights.at(step)
+        generator = generator_on(batch.app_image.device)
+        to_camera = batch.camera_to_world[:, :3, :3].mT
+        code = joint.estimator(batch.mot_image).code
+        seen, to_light = None, None
+        if step % 2:
+            maps = code.clamp_min(0).expm1()
+            seen = lightmap_estimator.unfold(maps, joint.estimator.height)
+            to_light = to_camera
+        table = self.deformation(joint.model, batch)
+        edit = edit_of(joint.model, batch, generator, seen, to_light, control=table)
+        found = terms(joint.model, edit, truth_of(batch), factors, generator)
+        truth = rotate(batch.lightmaps, batch.camera_to_world[:, :3, :3])
+        weights = self.texels.to(code.device)
+        found["lightmap"] = losses.lightmap_loss(
+            code, encode(lightmap_estimator.fold(truth)), weights
+        )
+        image, target = batch.alpha * edit.image, batch.alpha * batch.mot_image
+        if self.lpips is not None:
+            found["lpips"] = self.lpips.to(image.device)(image, target).mean()
+        if self.recognition is not None and factors["identity"]:
+            found["identity"] = self._identity(image, target, batch.points)
+        critic: Tensor | float = 0.0
+        if factors["adversarial"]:
+            found["adversarial"], critic = self._adversarial(edit, batch, step)
+        total = losses.total(found, self.weights, step)
+        scalars = total.scalars | ({"critic": critic.item()} if isinstance(critic, Tensor) else {})
+        return total.loss + critic, scalars
+
+    def _identity(self, image: Tensor, target: Tensor, points: Tensor) -> Tensor:
+        """L_id; the faces of both are where the target's five `points` (B, 5, 2) are, in pixels."""
+        assert self.recognition is not None
+        recognition = self.recognition.to(image.device)
+        with torch.no_grad():
+            wanted = recognition.features(target, points)
+        return losses.identity_loss(recognition.features(image, points), wanted)
+
+    def validate(self, network: nn.Module) -> tuple[float, dict[str, float], dict[str, Tensor]]:
+        return validate(self.network.model, self.held_out, self.most)
+
+    def _adversarial(self, edit: Edit, batch: Sample, step: int) -> tuple[Tensor, Tensor]:
+        """The generator's term, and the discriminator's own with its penalty."""
+        critic, side = self.network.discriminator, batch.mot_image.shape[-1]
+        camera = discriminator.camera_code(batch.camera_to_world, batch.intrinsics, side)
+        rendering = edit.rendering
+        made = discriminator.stack(
+            batch.alpha * edit.image, edit.foreground, rendering.canonical, rendering.opacity
+        )
+        size = edit.raw.shape[-2:]
+        target = batch.alpha * batch.mot_image
+        small = [
+            functional.interpolate(part, size, mode="area")
+            for part in (target, batch.canonical * batch.alpha, batch.alpha)
+        ]
+        real = discriminator.stack(target, *small)
+        still = {name: p.detach() for name, p in critic.named_parameters()}
+        fooled = discriminator.generator_loss(functional_call(critic, still, (made, camera)))
+        own = discriminator.discriminator_loss(critic(real, camera), critic(made.detach(), camera))
+        if step % R1_EVERY == 0:
+            own = own + 0.5 * R1 * R1_EVERY * discriminator.r1_penalty(critic, real, camera)
+        return fooled, own
+
+    def _others(self, term: str, make):
+        """A network that others trained, or None, where it cannot be had, with the reason kept."""
+        try:
+            return make().eval()
+        except NetworkError as error:
+            self.off[term] = str(error)
+            return None

@@ -1,0 +1,213 @@
+"""Reconstruction: the model against pairs of pictures of one person, L_rec + L_reg.
+
+First the two have one pose and expression and differ in view and light, then in all. B, S, h as in
+`totalediting.model`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from totalediting.data.endless import loader, to_device
+from totalediting.data.pairs import MIRRORED, PortraitPairs, Sample
+from totalediting.geometry.field import Control, Table
+from totalediting.geometry.mirroring import MIRROR
+from totalediting.light import phong
+from totalediting.model import Edit, TotalEditing, Window
+from totalediting.presets import Preset
+from totalediting.training import losses, metrics
+from totalediting.training.objective import terms, truth_of
+
+VALIDATED = 64
+"""Samples that a validation looks at, at most."""
+
+_AT_ONCE = 8  # pairs of a validation
+_ROOM = 1 << 28  # bytes of deformations that are kept
+
+
+class Pairs:
+    """Training pairs and held-out pairs of a dataset, by step."""
+
+    most = VALIDATED
+
+    def __init__(
+        self, data: Path, preset: Preset, seed: int, workers: int, static_steps: int = 0
+    ) -> None:
+        """In the first `static_steps` steps, pairs are static, see `PortraitPairs`."""
+        self.preset, self.workers, self.static_steps = preset, workers, static_steps
+        self.static = PortraitPairs(data, preset, "train", seed, augment=True, static=True)
+        self.train = PortraitPairs(data, preset, "train", seed, augment=True)
+        self.held_out = PortraitPairs(data, preset, "validation")
+        self._tables: dict[str, Table] = {}
+
+    def judge_by(self, data: Path, split: str) -> None:
+        """Validate on all of another split."""
+        self.held_out = PortraitPairs(data, self.preset, split)
+        self.most = len(self.held_out)
+
+    @property
+    def skipped(self) -> dict[str, str]:
+        """Training pairs that could not be read, and why."""
+        return self.static.skipped | self.train.skipped
+
+    def deformation(self, model: TotalEditing, batch: Sample) -> Table:
+        """The batch's deformations; each shot's is solved once and kept, as far as there is room.
+
+        They take a third of a step on a CPU, and do not change. A mirrored shot's is the mirror
+        image of the shot's own.
+        """
+        turned = [key.endswith(MIRRORED) for key in batch.key]
+        shots = [key.removesuffix(MIRRORED) for key in batch.key]
+        missing = {shot: k for k, shot in enumerate(shots) if shot not in self._tables}
+        if missing:
+            sides = batch.control.posed.new_ones(len(shots), 1, 3)
+            sides[turned] = MIRROR.to(sides)
+            chosen = list(missing.values())
+            control = Control(*((sides * a)[chosen] for a in batch.control))
+            self._tables |= zip(missing, model.deformation(control).unstack(), strict=True)
+        tables = [self._tables[shot] for shot in shots]
+        tables = [t.mirrored() if turn else t for t, turn in zip(tables, turned, strict=True)]
+        table = Table.stack(tables)
+        while len(self._tables) * table.values[0].nbytes > _ROOM:
+            del self._tables[next(iter(self._tables))]
+        return table
+
+    def batches(self, first: int, size: int, rank: int, ranks: int) -> Iterator[Sample]:
+        """The batches from step `first` on, this rank's share of each."""
+        start, moving = first * size * ranks, self.static_steps * size * ranks
+        if start < moving:
+            yield from loader(self.static, size, self.workers, start, moving, rank, ranks)
+        start = max(start, moving)
+        yield from loader(self.train, size, self.workers, start, rank=rank, world=ranks)
+
+
+class ReconstructStage(Pairs):
+    """L_rec + L_reg in true light, without the networks that others trained."""
+
+    name = "reconstruct"
+
+    def __init__(
+        self,
+        data: Path,
+        preset: Preset,
+        seed: int,
+        workers: int = 1,
+        faces: Tensor | None = None,
+        weights: losses.LossWeights = losses.OURS,
+        static_steps: int = 0,
+    ) -> None:
+        super().__init__(data, preset, seed, workers, static_steps)
+        self.weights = weights
+        self.network = TotalEditing(preset, faces)
+
+    def loss(self, network: nn.Module, batch: Sample, step: int) -> tuple[Tensor, dict[str, float]]:
+        generator = generator_on(batch.app_image.device)
+        window = window_in(self.network.preset)
+        table = self.deformation(self.network, batch)
+        edit = edit_of(network, batch, generator, window=window, control=table)
+        truth = truth_of(batch).within(window, self.network.preset)
+        found = terms(self.network, edit, truth, self.weights.at(step), generator)
+        total = losses.total(found, self.weights, step)
+        return total.loss, total.scalars
+
+    def validate(self, network: nn.Module) -> tuple[float, dict[str, float], dict[str, Tensor]]:
+        return validate(network, self.held_out, self.most)
+
+
+def generator_on(device: torch.device) -> torch.Generator:
+    """A generator there, seeded by the global one on the CPU."""
+    return torch.Generator(device).manual_seed(int(torch.randint(2**31, ())))
+
+
+def window_in(preset: Preset) -> Window:
+    """A random window of the preset's size; draws from the global generator."""
+    room = preset.neural - preset.window + 1
+    row, column = torch.randint(room, (2,)).tolist()
+    return Window(row, column, preset.window)
+
+
+def edit_of(
+    network: nn.Module,
+    batch: Sample,
+    generator: torch.Generator | None,
+    lightmaps: Tensor | None = None,
+    to_light: Tensor | None = None,
+    window: Window | None = None,
+    control: Table | None = None,
+) -> Edit:
+    """The edit that should be the batch's target; in its true light, or in another."""
+    return network(
+        batch.app_image,
+        batch.app_frontal,
+        batch.app_code,
+        batch.mot_code,
+        batch.control if control is None else control,
+        batch.camera_to_world,
+        batch.intrinsics,
+        batch.lightmaps if lightmaps is None else lightmaps,
+        to_light,
+        generator=generator,
+        window=window,
+    )
+
+
+def validate(
+    network: nn.Module, pairs: PortraitPairs, most: int
+) -> tuple[float, dict[str, float], dict[str, Tensor]]:
+    """Figures on held-out people, the first of them beside that of returning the source."""
+    device = next(network.parameters()).device
+    errors: dict[str, list[Tensor]] = {"psnr": [], "source": [], "normal": [], "albedo": []}
+    picture = None
+    for samples in loader(pairs, _AT_ONCE, stop=min(most, len(pairs))):
+        batch = to_device(samples, device)
+        edit = edit_of(network, batch, None)
+        errors["psnr"].append(metrics.psnr(edit.image, batch.mot_image, batch.alpha))
+        errors["source"].append(metrics.psnr(batch.app_image, batch.mot_image, batch.alpha))
+        size = batch.normal.shape[-2:]
+        normal, albedo = (
+            functional.interpolate(part, size, mode="bilinear")
+            for part in (edit.rendering.normal, edit.rendering.albedo)
+        )
+        errors["normal"].append(metrics.normal_error(normal, batch.normal, batch.alpha))
+        difference = (albedo - batch.alpha * batch.albedo).abs() * batch.alpha
+        errors["albedo"].append(difference.mean((1, 2, 3)) / batch.alpha.mean((1, 2, 3)))
+        picture = picture if picture is not None else edit_picture(batch, edit)
+    found = {name: torch.cat(values) for name, values in errors.items()}
+    figures = {
+        "PSNR": float(found["psnr"].mean()),
+        "PSNR of the source": float(found["source"].mean()),
+        "normal, mean °": float(found["normal"].nanmean()),
+        "albedo, L1": float(found["albedo"].mean()),
+    }
+    assert picture is not None  # a split is never empty
+    return -figures["PSNR"], figures, {"edit": picture}
+
+
+def decomposition(edit: Edit, camera_to_world: Tensor) -> dict[str, Tensor]:
+    """Pictures (B, 3, h, h) in [0, 1] of what an edit is made of."""
+    r = edit.rendering
+    distance = camera_to_world[:, :3, 3].norm(dim=-1)[:, None, None, None]
+    near = (0.5 - (r.depth - distance) / 0.5).clamp(0, 1) * r.opacity
+    return {
+        "albedo": phong.display(r.albedo),
+        "normal": 0.5 * r.normal + 0.5 * r.opacity,
+        "diffuse": phong.display(r.diffuse),
+        "specular": phong.display(r.specular),
+        "residual": (0.5 + r.residual).clamp(0, 1),
+        "depth": near.expand(-1, 3, -1, -1),
+    }
+
+
+def edit_picture(batch: Sample, edit: Edit) -> Tensor:
+    """(3, H, W): source, truth, result, then what the result is made of."""
+    size = batch.mot_image.shape[-2:]
+    parts = decomposition(edit, batch.camera_to_world).values()
+    large = [functional.interpolate(part, size, mode="bilinear") for part in parts]
+    cells = [batch.app_image, batch.mot_image, batch.alpha * edit.image, *large]
+    rows = torch.cat(cells, -1)[:4]
+    return torch.cat(list(rows), -2).cpu()
