@@ -6,7 +6,6 @@ import os
 import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -14,29 +13,12 @@ from typing import Any
 import fake_renderer
 import page_driver
 import pytest
+from answer import Answer
 
 from synthgen.farm.local import render_job
 
 # Tensors of tests are small: threads cost more than they save. Before torch is imported.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
-
-
-@dataclass
-class Answer:
-    """What a command said."""
-
-    returncode: int
-    stdout: str
-    stderr: str
-
-    @property
-    def error(self) -> str:
-        """The one line of a user's error."""
-        assert self.returncode == 2, self.stderr
-        assert self.stdout == ""
-        assert self.stderr.startswith("error: ")
-        assert self.stderr.count("\n") == 1, self.stderr
-        return self.stderr.strip()
 
 
 def pytest_collection_finish() -> None:

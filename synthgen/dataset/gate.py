@@ -6,9 +6,10 @@ import numpy as np
 
 from assets_procedural.conventions.camera import LANDMARK_MARGIN
 from assets_procedural.conventions.colour import display, to_bytes
+from assets_procedural.conventions.parts import Part
 from synthgen.dataset.shot import Shot, camera_of
 
-PART_IDS = (*range(19), 255)
+PART_IDS = tuple(Part)
 
 # Tolerances of the gate. They are part of the dataset contract: loosening one is a format change.
 LANDMARK_PIXELS = 0.5  # 2D landmarks against the projected 3D ones

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from conftest import Answer
+from answer import Answer
 from PIL import Image
 from torch import nn
 

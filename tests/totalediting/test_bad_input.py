@@ -15,9 +15,9 @@ from pathlib import Path
 import fake_renderer
 import pytest
 import torch
-from conftest import Answer
-from test_clips import write_video
+from answer import Answer
 from typer.testing import CliRunner
+from videos import write_video
 
 from synthgen.farm.local import render_job
 from totalediting import cli

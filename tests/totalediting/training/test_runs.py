@@ -17,7 +17,7 @@ from totalediting.training.loop import fastest_precision
 
 PARENT = """
 import multiprocessing, os, time
-from totalediting import runs
+from totalediting.training import runs
 
 def child(parent):
     runs._begin_process(1)

@@ -21,7 +21,7 @@ from synthgen.farm import preflight
 from synthgen.planning.job import JobSpec, load_job
 from synthgen.planning.plan import subject_key
 
-JOBS = Path(__file__).parent.parent / "render_jobs"
+JOBS = Path(__file__).parents[3] / "render_jobs"
 GOOD = """
 name = "test"
 [subsets.multiview]

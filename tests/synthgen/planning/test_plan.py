@@ -18,7 +18,7 @@ from synthgen.planning.plan import (
     subjects_per_shard,
 )
 
-JOBS = Path(__file__).parent.parent / "render_jobs"
+JOBS = Path(__file__).parents[3] / "render_jobs"
 POOL = [f"light_{i}" for i in range(12)]
 
 

@@ -56,8 +56,8 @@ def generator() -> torch.Generator:
 @pytest.fixture(params=["by neighbourhoods", "at once"])
 def way(request, monkeypatch) -> None:
     """Both ways of one computation; "at once" is that of a GPU."""
-    for module in ("deformation", "field"):
-        name = f"totalediting.{module}.at_once"
+    for module in ("moving_least_squares", "field"):
+        name = f"totalediting.geometry.{module}.at_once"
         monkeypatch.setattr(name, lambda _: request.param == "at once")
 
 

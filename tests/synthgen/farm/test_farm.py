@@ -124,7 +124,7 @@ if __name__ == "__main__":
 
 
 def start(out: Path, sabotage: str = "", **environment: str) -> subprocess.Popen[str]:
-    folder = str(Path(__file__).parent)
+    folder = str(Path(fake_renderer.__file__).parent)
     return subprocess.Popen(
         [sys.executable, "-c", COMMAND, str(out), sabotage],
         env=os.environ | {"PYTHONPATH": folder} | environment,

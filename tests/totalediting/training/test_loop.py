@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 import torch
+import toy_training
 from toy_training import SCHEDULE, Line
 
 from totalediting.errors import InputError
@@ -16,7 +17,7 @@ from totalediting.training import checkpoints
 from totalediting.training.loop import learning_rate, paced, train
 
 FACTS = {"data": "line"}
-SCRIPT = Path(__file__).parent / "toy_training.py"
+SCRIPT = Path(toy_training.__file__)
 
 
 def losses(run: Path) -> list[tuple[int, float]]:

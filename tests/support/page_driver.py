@@ -28,7 +28,7 @@ from scipy.spatial import ConvexHull
 
 from synthgen.dataset import open_dataset
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 SCREENSHOTS = ROOT / "out" / "browser"
 """Where screenshots are kept, to be looked at."""
 HOSTILE = "<img src=x onerror=\"document.title='owned'\">"

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from conftest import Answer
+from answer import Answer
 from PIL import Image
 
 from assets_procedural.conventions import panorama

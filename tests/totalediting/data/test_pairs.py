@@ -22,7 +22,7 @@ from assets_procedural.motion.poses import ARKIT_NAMES
 from synthgen.dataset import open_dataset
 from totalediting.data import shots
 from totalediting.data.endless import Stream, loader, to_device
-from totalediting.data.pairs import MIRRORED, PortraitPairs
+from totalediting.data.pairs import MIRRORED, PortraitPairs, mirrored
 from totalediting.data.shots import Shots, area, over_surface
 from totalediting.errors import InputError
 from totalediting.geometry.field import check_control
@@ -117,7 +117,7 @@ def test_static_pairs_have_one_pose(small_dataset: Path):
 
 def test_a_mirrored_sample_is_the_mirrored_scene(pairs: PortraitPairs):
     sample = pairs[2]
-    turned = pairs.mirrored(sample)
+    turned = mirrored(sample)
     # What holds of a scene holds of its mirror image: control points, canonical positions and
     # normals lie where the camera sees them.
     for one in (sample, turned):
@@ -134,7 +134,7 @@ def test_a_mirrored_sample_is_the_mirrored_scene(pairs: PortraitPairs):
     assert torch.allclose(
         turned.points[0], torch.tensor([24.0, 0]) + sample.points[1] * torch.tensor([-1.0, 1])
     )
-    twice = pairs.mirrored(turned)._replace(key=sample.key)
+    twice = mirrored(turned)._replace(key=sample.key)
     for name, a, b in zip(sample._fields, sample, twice, strict=True):
         close = isinstance(a, torch.Tensor) and torch.allclose(a.float(), b.float(), atol=1e-6)
         assert close or equal(a, b), name
@@ -143,8 +143,8 @@ def test_a_mirrored_sample_is_the_mirrored_scene(pairs: PortraitPairs):
 def test_augmented_pairs_are_mirrored_half_of_the_time(small_dataset: Path):
     augmented = PortraitPairs(small_dataset, SMALL, augment=True)
     keys = [augmented[number].key for number in range(16)]
-    mirrored = [key for key in keys if key.endswith(MIRRORED)]
-    assert 2 < len(mirrored) < 14
+    turned = [key for key in keys if key.endswith(MIRRORED)]
+    assert 2 < len(turned) < 14
 
 
 def test_points_project_onto_their_pixels(pairs: PortraitPairs):
