@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from synthgen import console
+from assets_procedural.conventions import console
+from assets_procedural.conventions.command_line import run
 from synthgen.farm import DEFAULT_RENDERER
 
 if TYPE_CHECKING:
@@ -37,14 +37,8 @@ Renderer = Annotated[str, typer.Option(hidden=True)]
 
 
 def main() -> None:
-    """Entry point: like `app()`, but errors of the user's making are one line and exit code 2."""
-    try:
-        app()
-    except Exception as error:
-        if not isinstance(error, _user_errors()):
-            raise
-        console.stderr().print(f"[bold red]error:[/] {console.escape(str(error))}", soft_wrap=True)
-        sys.exit(2)
+    """Entry point: `app()`, with errors of the user's making as one line and exit code 2."""
+    run(app)
 
 
 @app.command()
@@ -334,12 +328,3 @@ def _check_panoramas(environments: list[EnvironmentSpec], out: Path, file: Path)
     with console.progress() as progress:
         for environment in progress.track(unseen, description="reading panoramas"):
             preflight.check_panorama(environment, file)
-
-
-def _user_errors() -> tuple[type[Exception], ...]:
-    """What is reported in one line. Imported only when something was raised already."""
-    from assets_procedural.conventions.panorama import PanoramaError
-    from synthgen.dataset.ledger import StorageError
-    from synthgen.errors import JobError
-
-    return JobError, StorageError, PanoramaError

@@ -12,8 +12,10 @@ from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
 
+from assets_procedural.conventions.errors import UserError
 
-class JobError(Exception):
+
+class JobError(UserError):
     """Bad input, found before anything is rendered; `str()` is one line for the user.
 
     `file` is the job file, folder or command-line option, `field` the key in it, `value` what it

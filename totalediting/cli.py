@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 import os
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from assets_procedural.conventions.command_line import run
 from totalediting.errors import InputError
 from totalediting.presets import preset_with
 
@@ -27,18 +27,8 @@ MAP_ROWS = (4, 512)
 
 
 def main() -> None:
-    """Entry point: like `app()`, but errors of the user's making are one line and exit code 2."""
-    try:
-        app()
-    except Exception as error:
-        if not isinstance(error, _user_errors()):
-            raise
-        from rich.console import Console
-        from rich.markup import escape
-
-        line = f"[bold red]error:[/] {escape(str(error))}"
-        Console(stderr=True, highlight=False).print(line, soft_wrap=True)
-        sys.exit(2)
+    """Entry point: `app()`, with errors of the user's making as one line and exit code 2."""
+    run(app)
 
 
 @app.command()
@@ -260,10 +250,3 @@ def _device(name: str, count: int = 1) -> torch.device:
 
 def _error(option: str, value: object, remedy: str) -> InputError:
     return InputError(f"{option}: {value}: {remedy}")
-
-
-def _user_errors() -> tuple[type[Exception], ...]:
-    """What is reported in one line. Imported only when something was raised already."""
-    from assets_procedural.conventions.panorama import PanoramaError
-
-    return InputError, PanoramaError, OSError

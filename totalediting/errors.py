@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from assets_procedural.conventions.errors import UserError
 
-class InputError(ValueError):
+
+class InputError(UserError, ValueError):
     """A file or an option that cannot be used; the message names it, its fault and the remedy."""

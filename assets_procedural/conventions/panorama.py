@@ -27,12 +27,13 @@ from typing import Any
 
 import numpy as np
 
+from assets_procedural.conventions.errors import UserError
 from assets_procedural.mesh.vectors import arctan2
 
 HALF_MAX = 65504.0
 
 
-class PanoramaError(ValueError):
+class PanoramaError(UserError, ValueError):
     """A panorama file that cannot be used; the message names file, fault and remedy."""
 
 

@@ -22,13 +22,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from assets_procedural.conventions.errors import UserError
 from assets_procedural.conventions.files import write_atomically
 from synthgen.dataset.codecs import encode_json
 
 ATTEMPTS = 3
 
 
-class StorageError(RuntimeError):
+class StorageError(UserError, RuntimeError):
     """A dataset folder that cannot be used as asked; the message is one line for the user."""
 
 

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from synthgen.console import size
+from assets_procedural.conventions.console import size
 from synthgen.farm import calibration
 from synthgen.planning.plan import Plan, subject_bytes
 

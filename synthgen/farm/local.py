@@ -15,8 +15,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from assets_procedural.conventions import console
 from assets_procedural.light.pool import pool, provenance, write_pool
-from synthgen import console
 from synthgen.dataset import ledger
 from synthgen.farm import DEFAULT_RENDERER, calibration
 from synthgen.farm.commit import clean_shared

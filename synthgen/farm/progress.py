@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from synthgen import console
+from assets_procedural.conventions import console
 from synthgen.dataset import ledger
 from synthgen.farm.commit import frames_done
 from synthgen.farm.state import RunState

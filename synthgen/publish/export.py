@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from assets_procedural.conventions import console
 from assets_procedural.conventions.camera import nerfstudio_frame
-from synthgen import console
 from synthgen.dataset import ledger
 from synthgen.dataset.reading import open_dataset
 from synthgen.dataset.shot import Shot, camera_of

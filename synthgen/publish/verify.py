@@ -13,8 +13,8 @@ from typing import Any
 import duckdb
 import numpy as np
 
+from assets_procedural.conventions import console
 from assets_procedural.conventions.files import sha256
-from synthgen import console
 from synthgen.dataset import columns, ledger
 from synthgen.dataset.codecs import decode_exr
 from synthgen.planning.plan import SPLITS, Plan, ShardPlan

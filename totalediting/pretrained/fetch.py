@@ -20,6 +20,7 @@ import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
+from assets_procedural.conventions.errors import UserError
 from assets_procedural.conventions.files import cache_folder
 
 
@@ -98,7 +99,7 @@ NETWORKS = {
 """What can be fetched, by name."""
 
 
-class NetworkError(Exception):
+class NetworkError(UserError):
     """A network that could not be had, or is not the one that was asked for; one line."""
 
 

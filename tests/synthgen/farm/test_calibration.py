@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from synthgen.console import size
+from assets_procedural.conventions.console import size
 from synthgen.farm import calibration, measure
 from synthgen.farm.calibration import Calibration
 from synthgen.farm.estimate import estimate

@@ -1,0 +1,63 @@
+"""What both commands share: errors in one line, messages of libraries, missing extras."""
+
+from __future__ import annotations
+
+import logging
+import sys
+from collections.abc import Callable
+
+from assets_procedural.conventions import console
+from assets_procedural.conventions.errors import UserError, one_line
+
+EXTRAS = {
+    "anny": "model",
+    "av": "train",
+    "bpy": "render",
+    "lightning_fabric": "train",
+    "safetensors": "train",
+    "starlette": "browse",
+    "tensorboard": "train",
+    "torch": "model",
+    "uvicorn": "browse",
+}
+"""Modules that the core does without, and the extra that brings each."""
+
+
+def run(app: Callable[[], None]) -> None:
+    """Run a command line; errors of the user's making are one line on stderr and exit code 2."""
+    set_up_logging()
+    try:
+        app()
+    except (UserError, OSError) as error:
+        _end(one_line(error))
+    except ModuleNotFoundError as error:
+        extra = EXTRAS.get((error.name or "").split(".")[0])
+        if extra is None:
+            raise
+        _end(
+            f"this needs {error.name}, which is not installed: pip install 'totalediting[{extra}]'"
+        )
+
+
+def set_up_logging() -> None:
+    """Show what libraries log, from INFO, on stderr; in every process that a command starts."""
+    root = logging.getLogger()
+    if not any(isinstance(handler, _ConsoleHandler) for handler in root.handlers):
+        root.addHandler(_ConsoleHandler())
+    for package in ("assets_procedural", "synthgen", "totalediting"):
+        logging.getLogger(package).setLevel(logging.INFO)
+
+
+class _ConsoleHandler(logging.Handler):
+    """One line a message, never wrapped; warnings and errors say that they are."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        level = (
+            f"[bold yellow]{record.levelname.lower()}:[/] " if record.levelno > logging.INFO else ""
+        )
+        console.stderr().print(level + console.escape(record.getMessage()), soft_wrap=True)
+
+
+def _end(line: str) -> None:
+    console.stderr().print(f"[bold red]error:[/] {console.escape(line)}", soft_wrap=True)
+    sys.exit(2)
