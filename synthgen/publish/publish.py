@@ -29,7 +29,7 @@ FORMAT = 1
 def code_version() -> dict[str, str]:
     """Package version, and the commit if this is a checkout."""
     version = {"package": "synthgen", "version": synthgen.__version__}
-    root = Path(__file__).parents[1]
+    root = Path(synthgen.__file__).parents[1]
     if not (root / ".git").exists():  # an installed package may lie in somebody else's checkout
         return version
     try:

@@ -120,3 +120,10 @@ def test_another_version_may_open_but_not_add_to_what_is_complete(out: Path, tmp
     next((copy / "data").rglob("*.tar")).unlink()
     with pytest.raises(ledger.StorageError, match=r"begun by synthgen 0.0, this is "):
         render_job(JOB, copy, renderer=fake_renderer.RENDERER)
+
+
+def test_a_checkout_knows_its_commit():
+    commit = publish.code_version().get("commit")
+    here = Path(__file__)
+    is_checkout = any((folder / ".git").exists() for folder in here.parents)
+    assert (commit is not None) == is_checkout
