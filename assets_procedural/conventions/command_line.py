@@ -10,7 +10,7 @@ from assets_procedural.conventions import console
 from assets_procedural.conventions.errors import UserError, one_line
 
 EXTRAS = {
-    "anny": "model",
+    "anny": "distill",
     "av": "train",
     "bpy": "render",
     "lightning_fabric": "train",

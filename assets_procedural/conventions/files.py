@@ -51,5 +51,5 @@ def _sync_folder(folder: Path) -> None:
 
 
 def cache_folder() -> Path:
-    """The distilled head, calibrations, networks: $SYNTHGEN_CACHE or ~/.cache/synthgen."""
+    """Calibrations, networks, lightmaps and thumbnails: $SYNTHGEN_CACHE or ~/.cache/synthgen."""
     return Path(os.environ.get("SYNTHGEN_CACHE", Path.home() / ".cache" / "synthgen"))

@@ -78,15 +78,13 @@ def expressions(folder: Folder, snapshot: Snapshot, subset: str, subject: str) -
     """What each expression at 1 adds to the mesh's skin, (52, V, 3) float32 metres, world axes.
 
     Rows are `expression_names`, columns the vertices of the mesh's geometry `skin` in its order;
-    the world is Z up, so a vertex (x, y, z) of the glTF is (x, -z, y). Raises `Refused` where the
-    head model is not on this machine, or the metadata name a person that it cannot make.
+    the world is Z up, so a vertex (x, y, z) of the glTF is (x, -z, y). Raises `Refused`
+    where the metadata name a person that the head model cannot make.
     """
-    from assets_procedural.body.head import HeadModel, head_file
+    from assets_procedural.body.head import HeadModel
     from assets_procedural.motion.poses import Pose
     from assets_procedural.people.person import Person
 
-    if not head_file().exists():
-        raise Refused("expressions need the head model, which is not prepared on this machine")
     rows = rows_of(snapshot, subset, subject)
     with _building:
         try:

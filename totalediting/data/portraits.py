@@ -75,7 +75,6 @@ class Portraits(Numbered[Portrait]):
 
         Raises:
             InputError: no dataset, one of another format, no such split or subset, an empty one.
-            RuntimeError: there is no head model and it cannot be built.
         """
         self.shots = Shots(folder, split, subset)
         super().__init__(self.shots.keys, seed)

@@ -19,10 +19,9 @@ import torch
 from scipy.spatial import KDTree
 from torch import Tensor
 
-from assets_procedural.body.head import HeadModel, head_file
+from assets_procedural.body.head import HEAD_FILE, HeadModel
 from assets_procedural.body.landmarks import skin_weights
-from assets_procedural.conventions import panorama
-from assets_procedural.conventions.files import cache_folder
+from assets_procedural.conventions.files import cache_folder, replacing, sha256
 from assets_procedural.people.person import Person
 from assets_procedural.people.person_sampling import PeopleSettings, sample_person
 from totalediting.geometry.space import ORIGIN_LANDMARKS
@@ -82,21 +81,16 @@ class IdentityBasis:
 
 @lru_cache(maxsize=1)
 def identity_basis() -> IdentityBasis:
-    """The basis; made in seconds once per machine, then read from the cache folder.
-
-    Raises:
-        RuntimeError: there is no head model and it cannot be built.
-    """
-    path = cache_folder() / f"identity-{head_file().stem}-k{IDENTITY}-v{_FORMAT}.npz"
+    """The basis; made in seconds once per machine, then read from the cache folder."""
+    path = cache_folder() / f"identity-{sha256(HEAD_FILE)[:12]}-k{IDENTITY}-v{_FORMAT}.npz"
     broken = (OSError, ValueError, KeyError, zipfile.BadZipFile)
     with contextlib.suppress(*broken), np.load(path) as archive:
         names = ("mean", "components", "mirroring")
         return IdentityBasis(*(torch.from_numpy(archive[name]) for name in names))
     basis = _make(_head())
-    with contextlib.suppress(OSError):  # without a disk for it, it is made again
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with panorama.replacing(path) as temporary, temporary.open("wb") as file:
-            np.savez(file, **{name: array.numpy() for name, array in vars(basis).items()})
+    arrays = {name: array.numpy() for name, array in vars(basis).items()}
+    with contextlib.suppress(OSError), replacing(path) as file:
+        np.savez(file, **arrays)  # without a disk for it, it is made again
     return basis
 
 

@@ -19,17 +19,16 @@ from numpy.typing import ArrayLike
 from torch import Tensor
 from torch.nn import functional
 
-from assets_procedural.body.distill import BONES
-from assets_procedural.body.head import HEAD_SHARES, LIDS, HeadModel
+from assets_procedural.body.head import BONES, HEAD_SHARES, LIDS, HeadModel
 from assets_procedural.body.landmarks import skin_weights
 from assets_procedural.body.regions import fields
+from assets_procedural.conventions.camera import SENSOR_MM
 from assets_procedural.motion.poses import ARKIT_NAMES, Pose, lid_following
 from totalediting.geometry.field import Control
 from totalediting.geometry.identity import IdentityBasis, identity_basis
 from totalediting.geometry.space import ORIGIN_LANDMARKS
 from totalediting.geometry.tracking import FILL, SIZES, Tracking
 
-_SENSOR_MM = 36.0
 _SMALL = 1e-3  # radians: a gaze that no lid is fully turned by
 
 
@@ -42,7 +41,6 @@ def control_of(tracking: Tracking) -> Control:
 
     Raises:
         ValueError: a field has another shape than a batch of `HeadTracker`'s.
-        RuntimeError: there is no head model and it cannot be built.
     """
     rig, tracking = _rig_of(tracking)
     posed, canonical = _busts(rig, tracking)
@@ -60,7 +58,6 @@ def camera_of(tracking: Tracking, side: int) -> tuple[Tensor, Tensor]:
 
     Raises:
         ValueError: a field has another shape than a batch of `HeadTracker`'s; a side below 1.
-        RuntimeError: there is no head model and it cannot be built.
     """
     if side < 1:
         raise ValueError(f"side must be at least 1, got {side}")
@@ -72,7 +69,7 @@ def camera_of(tracking: Tracking, side: int) -> tuple[Tensor, Tensor]:
     camera_to_world = torch.eye(4).to(position).repeat(len(position), 1, 1)
     camera_to_world[:, :3] = torch.stack([right, up, away, position], -1)
     intrinsics = torch.eye(3).to(position).repeat(len(position), 1, 1)
-    intrinsics[:, :2, :2] *= (tracking.focal_mm / _SENSOR_MM * side)[..., None]
+    intrinsics[:, :2, :2] *= (tracking.focal_mm / SENSOR_MM * side)[..., None]
     intrinsics[:, :2, 2] = side / 2
     return camera_to_world.float(), intrinsics.float()
 
@@ -84,7 +81,6 @@ def reframed(tracking: Tracking) -> Tracking:
 
     Raises:
         ValueError: a field has another shape than a batch of `HeadTracker`'s.
-        RuntimeError: there is no head model and it cannot be built.
     """
     rig, exact = _rig_of(tracking)
     axes = _axes(exact)
@@ -95,7 +91,7 @@ def reframed(tracking: Tracking) -> Tracking:
     rest = _box(rig, exact._replace(**still))
     middle, height = _box(rig, exact)
     off = _position(rest, axes, exact) - middle
-    frame = (off * away).sum(-1, keepdim=True) * _SENSOR_MM / exact.focal_mm
+    frame = (off * away).sum(-1, keepdim=True) * SENSOR_MM / exact.focal_mm
     shift = torch.cat([(off * axis).sum(-1, keepdim=True) for axis in (right, up)], -1)
     return tracking._replace(
         log_fill=(height / frame / FILL).log().float(), shift=(-shift / frame).float()
@@ -198,7 +194,7 @@ def _position(
     right, up, away = axes
     frame = height / tracking.fill
     shift = frame * tracking.shift
-    position = middle + tracking.focal_mm / _SENSOR_MM * frame * away
+    position = middle + tracking.focal_mm / SENSOR_MM * frame * away
     return position - shift[:, :1] * right - shift[:, 1:] * up
 
 
@@ -233,7 +229,7 @@ def _expressed(rig: _Rig, rest: Tensor, tracking: Tracking) -> Tensor:
 
 
 def _bones(joints: Tensor, head: Tensor, gaze: Tensor) -> Tensor:
-    """Motions (B, J, 4, 4) from rest of the bones, in the order of `distill.BONES`."""
+    """Motions (B, J, 4, 4) from rest of the bones, in the order of `head.BONES`."""
     joint: dict[str, Tensor] = dict(zip(BONES[1:], joints.unbind(1), strict=True))
     turn = _rotation_vector(head)
     bones = {"trunk": torch.eye(4).to(joints).expand(len(joints), 4, 4)}

@@ -140,7 +140,7 @@ export class SubjectView {
     this.scene?.draw();
   }
 
-  /** Sliders of the expressions, where the server has the head model at hand. */
+  /** Sliders of the expressions. */
   async expressions(subset, id, { expression_names: names }) {
     let deltas;
     try {
