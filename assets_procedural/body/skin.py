@@ -13,7 +13,7 @@ import numpy as np
 from assets_procedural.body.hairline import hairline_distance
 from assets_procedural.body.head import HeadModel
 from assets_procedural.body.regions import fields
-from assets_procedural.people.person import Person
+from assets_procedural.person import Person
 
 # Absorbance (-ln reflectance) of bloodless unpigmented skin and of a full measure of each pigment,
 # fitted by eye to photographs from Fitzpatrick type I (melanin 0) to VI (melanin 1); the spectral

@@ -18,7 +18,7 @@ from assets_procedural.body.roots import Roots, SkinBound, sample_roots
 from assets_procedural.conventions.parts import Part
 from assets_procedural.hair.strands import clump, colouring, locks, tapered, wander
 from assets_procedural.mesh.vectors import arctan2, smoothstep, unit
-from assets_procedural.people.person import Person
+from assets_procedural.person import Person
 
 BEARD_STYLES = ("none", "stubble", "moustache", "goatee", "full")
 

@@ -20,7 +20,7 @@ from assets_procedural.hair.strands import (
 )
 from assets_procedural.hair.styles import Style
 from assets_procedural.mesh.vectors import smoothstep, unit
-from assets_procedural.people.person import Person
+from assets_procedural.person import Person
 
 
 def tied(

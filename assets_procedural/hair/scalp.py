@@ -13,7 +13,7 @@ from assets_procedural.body.hairline import SKULL_CENTRE, hairline_distance
 from assets_procedural.body.roots import Roots
 from assets_procedural.hair.styles import WHORL, Style
 from assets_procedural.mesh.vectors import arctan2, smoothstep
-from assets_procedural.people.person import Person
+from assets_procedural.person import Person
 
 
 def scalp_density(person: Person, style: Style, ears: np.ndarray, soft: float) -> Callable:

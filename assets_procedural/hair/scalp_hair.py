@@ -19,7 +19,7 @@ from assets_procedural.hair.strands import colouring, mix, resample, spread, tou
 from assets_procedural.hair.styles import STYLES, Field, Style, upright
 from assets_procedural.mesh.vectors import smoothstep, unit
 from assets_procedural.outfit.headwear import above_rim
-from assets_procedural.people.person import Person
+from assets_procedural.person import Person
 
 _STEPS = 24
 _CLOTHES_MARGIN = 0.015

@@ -13,7 +13,7 @@ from assets_procedural.conventions.parts import Part
 from assets_procedural.mesh.sweep import ellipsoid, rounded, sweep
 from assets_procedural.outfit.glasses import glasses
 from assets_procedural.outfit.headwear import hat
-from assets_procedural.people.person import Earrings, Person
+from assets_procedural.person import Earrings, Person
 
 # Outer side of the left ear lobe, in the numbering of MakeHuman's base mesh.
 _LOBE = (12041, 12019)

@@ -15,7 +15,7 @@ from scipy import sparse
 
 from assets_procedural.body.head import HeadModel, vertex_normals
 from assets_procedural.mesh.subdivision import catmull_clark
-from assets_procedural.people.person import Person
+from assets_procedural.person import Person
 
 # An edge cut closer to its end than this share moves its end onto the cut instead: no slivers.
 _SNAP = 0.3

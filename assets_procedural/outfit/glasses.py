@@ -12,7 +12,7 @@ from assets_procedural.body.piece import MeshPiece, rigid
 from assets_procedural.body.regions import mirror
 from assets_procedural.conventions.parts import Part
 from assets_procedural.mesh.sweep import ellipsoid, joined, rounded, sweep, tube_faces
-from assets_procedural.people.person import Glasses
+from assets_procedural.person import Glasses
 
 _OUTLINE = 96
 # Vertices of MakeHuman's base mesh: the narrowest point of the bridge, and the left ear's root.

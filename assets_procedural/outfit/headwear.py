@@ -25,7 +25,7 @@ from assets_procedural.outfit.cloth import (
     ring_strip,
     smooth_ring,
 )
-from assets_procedural.people.person import Hat
+from assets_procedural.person import Hat
 
 # Height of the hat's edge (m, average person) over depth y: forehead, above the ears, nape.
 _EDGES = {

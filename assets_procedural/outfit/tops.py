@@ -25,7 +25,7 @@ from assets_procedural.outfit.cloth import (
     ring_strip,
     smooth_ring,
 )
-from assets_procedural.people.person import Person
+from assets_procedural.person import Person
 
 # Skin farther than this inside the garment (metres) can never be seen.
 _HIDDEN_MARGIN = 0.022

@@ -6,7 +6,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from assets_procedural.people.person import Beard, Brows, Colour, Eyes, Hair, Skin
+from assets_procedural.person import Beard, Brows, Colour, Eyes, Hair, Skin
 
 HairStyle = Literal[
     "bald", "buzz", "receding", "short", "crop", "side_part", "slick_back", "pixie", "bob",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from assets_procedural.people.appearance_sampling import draw_seed, unit
-from assets_procedural.people.person import Colour, Earrings, Glasses, Hat, Top
+from assets_procedural.person import Colour, Earrings, Glasses, Hat, Top
 
 _GARMENTS = (
     "#f2f0eb", "#d9d4c7", "#b8b2a7", "#8a8d91", "#5b5f66", "#33363b", "#1d1f22", "#1f2a44",

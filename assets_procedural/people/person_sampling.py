@@ -20,7 +20,7 @@ from assets_procedural.people.appearance_sampling import (
 )
 from assets_procedural.people.face_shape import draw_asymmetry, draw_shape
 from assets_procedural.people.outfit_sampling import draw_earrings, draw_glasses, draw_hat, draw_top
-from assets_procedural.people.person import Person
+from assets_procedural.person import Person
 from assets_procedural.settings import Interval, Settings, interval
 
 

@@ -83,7 +83,7 @@ def expressions(folder: Folder, snapshot: Snapshot, subset: str, subject: str) -
     """
     from assets_procedural.body.head import HeadModel
     from assets_procedural.motion.poses import Pose
-    from assets_procedural.people.person import Person
+    from assets_procedural.person import Person
 
     rows = rows_of(snapshot, subset, subject)
     with _building:

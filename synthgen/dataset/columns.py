@@ -17,7 +17,7 @@ from pydantic import BaseModel
 
 from assets_procedural.conventions.camera import CameraSample
 from assets_procedural.motion.poses import ARKIT_NAMES
-from assets_procedural.people.person import Person
+from assets_procedural.person import Person
 
 PHENOTYPES = (
     *("gender", "age", "muscle", "weight", "height", "proportions", "cupsize", "firmness"),

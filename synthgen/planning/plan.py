@@ -18,8 +18,8 @@ import numpy as np
 from assets_procedural.conventions.camera import CameraSample
 from assets_procedural.light.pool import pool
 from assets_procedural.motion.poses import Pose, sample_pose, sample_track
-from assets_procedural.people.person import Person
 from assets_procedural.people.person_sampling import sample_person
+from assets_procedural.person import Person
 from assets_procedural.settings import Parameters
 from synthgen.planning.camera_sampling import sample_camera
 from synthgen.planning.job import JobSpec, SubsetSpec

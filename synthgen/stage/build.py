@@ -17,7 +17,7 @@ from assets_procedural.body.piece import Piece, StrandPiece
 from assets_procedural.body.skin import skin_fields
 from assets_procedural.mesh.subdivision import Subdivision, catmull_clark
 from assets_procedural.outfit import tops
-from assets_procedural.people.person import Person
+from assets_procedural.person import Person
 from synthgen.stage import materials
 from synthgen.stage.hair_colour import strand_colours
 

@@ -13,7 +13,7 @@ from assets_procedural.body.piece import MeshPiece
 from assets_procedural.body.regions import fields
 from assets_procedural.body.skin import skin_fields
 from assets_procedural.conventions.colour import srgb_encode, to_bytes
-from assets_procedural.people.person import Person
+from assets_procedural.person import Person
 
 if TYPE_CHECKING:  # it starts Blender, and this room needs none
     from synthgen.stage.build import Figure

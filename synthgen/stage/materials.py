@@ -13,7 +13,7 @@ from typing import Any
 import bpy
 import numpy as np
 
-from assets_procedural.people.person import Skin
+from assets_procedural.person import Skin
 from synthgen.stage.nodes import Graph, Socket
 
 LABEL_AOVS = ("albedo", "normal_world", "canonical", "texture", "part")

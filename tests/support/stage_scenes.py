@@ -10,7 +10,7 @@ import numpy as np
 from assets_procedural.conventions import panorama
 from assets_procedural.conventions.camera import CameraSample, resolve
 from assets_procedural.motion.poses import Pose
-from assets_procedural.people.person import Beard, Hair, Person
+from assets_procedural.person import Beard, Hair, Person
 from synthgen.planning.job import JobSpec, SubsetSpec
 from synthgen.planning.plan import EnvironmentUse, ShotPlan, SubjectPlan
 

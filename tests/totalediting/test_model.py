@@ -12,7 +12,7 @@ from torch import Tensor
 
 from assets_procedural.body.head import HeadModel
 from assets_procedural.motion.poses import Pose
-from assets_procedural.people.person import Person
+from assets_procedural.person import Person
 from totalediting.geometry.field import Control
 from totalediting.model import Edit, TotalEditing, Window
 from totalediting.presets import PRESETS, Preset

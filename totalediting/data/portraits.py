@@ -18,7 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from assets_procedural.people.person import Person
+from assets_procedural.person import Person
 from totalediting.data import shots
 from totalediting.data.endless import Numbered, Unreadable
 from totalediting.data.light_mixing import draw_light

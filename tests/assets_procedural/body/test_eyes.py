@@ -9,7 +9,7 @@ from assets_procedural.body.eyes import IRIS_RATIO, eyeball, eyes
 from assets_procedural.body.head import HeadModel, Identity
 from assets_procedural.conventions.parts import Part
 from assets_procedural.motion.poses import Pose
-from assets_procedural.people.person import Eyes, Person
+from assets_procedural.person import Eyes, Person
 
 PERSON = Person(eyes=Eyes(iris=(0.1, 0.2, 0.35), redness=0.5, seed=3))
 

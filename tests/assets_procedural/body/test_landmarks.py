@@ -6,7 +6,7 @@ from assets_procedural.body.landmarks import COUNT, FLIP, landmarks, skin_weight
 from assets_procedural.body.regions import fields
 from assets_procedural.mesh.subdivision import catmull_clark
 from assets_procedural.motion.poses import Pose
-from assets_procedural.people.person import Person
+from assets_procedural.person import Person
 
 INTEROCULAR = (36, 45)
 

@@ -11,7 +11,7 @@ from assets_procedural.body.mouth import jaw_motion, mouth
 from assets_procedural.conventions.parts import Part
 from assets_procedural.mesh.subdivision import catmull_clark
 from assets_procedural.motion.poses import Pose
-from assets_procedural.people.person import Person
+from assets_procedural.person import Person
 
 PEOPLE = {
     "average": Person(),

@@ -15,7 +15,7 @@ from assets_procedural.hair.draping import Surface
 from assets_procedural.hair.styles import STYLES
 from assets_procedural.mesh.vectors import smoothstep
 from assets_procedural.motion.poses import Pose
-from assets_procedural.people.person import Beard, Hair, Person
+from assets_procedural.person import Beard, Hair, Person
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from assets_procedural.outfit.cloth import Sheet, border_loops, sheet_from_quads
 from assets_procedural.outfit.glasses import SHAPES
 from assets_procedural.outfit.headwear import above_rim
 from assets_procedural.outfit.tops import STYLES, covered_skin, wardrobe
-from assets_procedural.people.person import Earrings, Glasses, Hat, Person, Top
+from assets_procedural.person import Earrings, Glasses, Hat, Person, Top
 
 WOMAN = {"gender": 1.0, "age": 0.66, "asian": 1.0, "african": 0.0, "caucasian": 0.0}
 MAN = {"gender": 0.0, "age": 0.95, "weight": 0.8}

@@ -12,7 +12,6 @@ import pytest
 from pydantic import ValidationError
 
 from assets_procedural.people.face_shape import ANCESTRY_MEAN, ASYMMETRY, SPREAD
-from assets_procedural.people.person import Person
 from assets_procedural.people.person_sampling import (
     AncestryWeights,
     HairStyle,
@@ -20,6 +19,7 @@ from assets_procedural.people.person_sampling import (
     phenotype_age,
     sample_person,
 )
+from assets_procedural.person import Person
 
 POLES = ("african", "asian", "caucasian")
 

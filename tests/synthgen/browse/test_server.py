@@ -408,7 +408,7 @@ def test_a_subject_has_the_cameras_of_its_shots(ask: TestClient, stored: Dataset
 def test_expressions_move_the_skin_as_the_head_model_does(ask: TestClient, stored: Dataset):
     from assets_procedural.body.head import HeadModel
     from assets_procedural.motion.poses import ARKIT_NAMES, Pose
-    from assets_procedural.people.person import Person
+    from assets_procedural.person import Person
 
     found = array(ask.get("/subject/multiview/s000002/expressions"))
     model = HeadModel.load()

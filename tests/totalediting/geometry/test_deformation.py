@@ -14,7 +14,7 @@ from torch.nn.functional import normalize
 
 from assets_procedural.body.head import Bust, HeadModel
 from assets_procedural.motion.poses import Pose
-from assets_procedural.people.person import Person
+from assets_procedural.person import Person
 from totalediting.geometry.field import Control, Field, Table, kabsch, quaternion_of, tabulate
 from totalediting.geometry.moving_least_squares import mls, mls_reference
 from totalediting.geometry.space import box
