@@ -6,7 +6,10 @@ from pydantic import Field
 
 from assets_procedural.settings import Parameters
 
+ADULT = 18.0
+"""Years from which on heads go bald and beards grow."""
 Colour = tuple[float, float, float]
+"""Linear Rec.709."""
 
 
 class Skin(Parameters):

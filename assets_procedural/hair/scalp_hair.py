@@ -16,7 +16,7 @@ from assets_procedural.hair.draping import Draped, Surface, chin_height
 from assets_procedural.hair.hair_detail import detailed, tied
 from assets_procedural.hair.scalp import parting_sides, scalp_density
 from assets_procedural.hair.strands import colouring, mix, resample, spread, tousled
-from assets_procedural.hair.styles import STYLES, Field, Style, upright
+from assets_procedural.hair.styles import STYLES, Guides, Style, upright
 from assets_procedural.mesh.vectors import smoothstep, unit
 from assets_procedural.outfit.headwear import above_rim
 from assets_procedural.person import Person
@@ -36,7 +36,7 @@ def scalp_hair(person: Person, identity: Identity, rng: np.random.Generator) -> 
     if person.hair.style not in STYLES:
         raise KeyError(f"no hair style named {person.hair.style!r}; known: {', '.join(STYLES)}")
     style = STYLES[person.hair.style]
-    if style is None:
+    if style.count == 0:
         return []
     return [_grown(style, person, identity, rng)]
 
@@ -157,7 +157,7 @@ def _grow(
     unrest = style.tousle * tousled(root_at, rng)
 
     def combed(at: np.ndarray, up: np.ndarray, travelled: np.ndarray) -> np.ndarray:
-        flow = style.combing(Field(frame.to_template(at), root_at, sweep, travelled)) @ axes
+        flow = style.combing(Guides(frame.to_template(at), root_at, sweep, travelled)) @ axes
         flow = unit(flow + unrest * 0.6)
         if style.combing is upright:
             return flow

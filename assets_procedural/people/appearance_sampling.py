@@ -2,47 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Literal, get_args
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from assets_procedural.person import Beard, Brows, Colour, Eyes, Hair, Skin
+from assets_procedural.hair.styles import STYLES
+from assets_procedural.person import ADULT, Beard, Brows, Colour, Eyes, Hair, Skin
 
-HairStyle = Literal[
-    "bald", "buzz", "receding", "short", "crop", "side_part", "slick_back", "pixie", "bob",
-    "fringe_bob", "long_straight", "long_wavy", "curly", "afro", "coils", "locs", "ponytail", "bun",
-]  # fmt: skip
+if TYPE_CHECKING:
+    HairStyle = str
+else:  # the names are those of the catalogue
+    HairStyle = Literal[tuple(STYLES)]
 
-ADULT = 18.0  # years
 Ancestry = dict[str, float]
 """Shares of "african", "asian" and "caucasian", sum 1."""
-
-# Relative frequency of a style: women, men, and a factor by hair texture (straight, wavy, coily).
-_STYLES: dict[HairStyle, tuple[float, float, tuple[float, float, float]]] = {
-    "bald": (0.03, 0.5, (1.0, 1.0, 1.0)),
-    "buzz": (0.12, 1.4, (0.8, 0.8, 1.8)),
-    "receding": (0.0, 1.0, (1.0, 1.0, 0.7)),
-    "short": (0.5, 2.2, (1.0, 1.0, 0.6)),
-    "crop": (0.3, 1.6, (1.0, 1.0, 0.8)),
-    "side_part": (0.4, 2.0, (1.2, 1.0, 0.1)),
-    "slick_back": (0.3, 1.0, (1.0, 0.8, 0.2)),
-    "pixie": (0.9, 0.1, (1.0, 1.0, 0.6)),
-    "bob": (1.6, 0.12, (1.1, 0.9, 0.3)),
-    "fringe_bob": (1.0, 0.05, (1.2, 0.8, 0.2)),
-    "long_straight": (2.2, 0.2, (1.3, 0.4, 0.25)),
-    "long_wavy": (2.0, 0.25, (0.5, 1.8, 0.3)),
-    "curly": (1.2, 0.8, (0.05, 0.9, 1.6)),
-    "afro": (1.0, 0.7, (0.0, 0.02, 2.2)),
-    "coils": (0.7, 0.9, (0.0, 0.02, 2.2)),
-    "locs": (0.6, 0.6, (0.0, 0.03, 1.8)),
-    "ponytail": (1.3, 0.12, (1.0, 1.0, 0.8)),
-    "bun": (0.9, 0.15, (1.0, 1.0, 1.0)),
-}
-HAIR_STYLES: tuple[HairStyle, ...] = get_args(HairStyle)
-UNDER_HAT: tuple[HairStyle, ...] = (
-    "bald", "buzz", "receding", "short", "crop", "side_part", "pixie", "bob", "fringe_bob",
-    "long_straight", "long_wavy", "locs",
-)  # fmt: skip
 
 # Linear Rec.709 reflectances of irises, dark to light.
 _IRISES: dict[str, Colour] = {
@@ -151,22 +124,8 @@ def _draw_style(
     under_hat: bool,
 ) -> str:
     if under_hat:
-        allowed = tuple(style for style in allowed if style in UNDER_HAT) or allowed
-    texture = np.array([np.interp(curl, [0.0, 0.35, 0.7], row) for row in np.eye(3)])
-    weights = []
-    for style in allowed:
-        women, men, by_texture = _STYLES[style]
-        weight = (men if male else women) * float(np.dot(by_texture, texture))
-        if style == "receding":
-            weight *= float(np.interp(age, [24.0, 50.0], [0.0, 1.8]))
-        if style == "bald":
-            weight *= 0.15 + 4.5 * np.clip((age - 28.0) / 40.0, 0.0, 1.0) if male else 1.0
-            weight *= age >= ADULT
-        if style in ("long_straight", "long_wavy", "ponytail"):
-            weight *= float(np.interp(age, [45.0, 75.0], [1.0, 0.3]))
-        if style in ("short", "pixie", "bob"):
-            weight *= float(np.interp(age, [45.0, 75.0], [1.0, 2.0]))
-        weights.append(weight)
+        allowed = tuple(style for style in allowed if STYLES[style].under_hat) or allowed
+    weights = [STYLES[style].popularity.weight(age, male, curl) for style in allowed]
     total = sum(weights)
     if total <= 0.0:  # only styles that do not go with this hair are allowed: the setting wins
         return str(rng.choice(allowed))

@@ -7,9 +7,8 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
+from assets_procedural.hair.styles import STYLES
 from assets_procedural.people.appearance_sampling import (
-    HAIR_STYLES,
-    UNDER_HAT,
     HairStyle,
     draw_beard,
     draw_brows,
@@ -86,10 +85,10 @@ def sample_person(rng: np.random.Generator, settings: PeopleSettings) -> Person:
     male = bool(rng.random() < settings.male)
     ancestry = _draw_ancestry(rng, settings)
     skin = draw_skin(rng, age, male, ancestry)
-    allowed = HAIR_STYLES if settings.hair_styles == "all" else settings.hair_styles
+    allowed = tuple(STYLES) if settings.hair_styles == "all" else settings.hair_styles
     hat_wanted = rng.random() < settings.hat
     hair = draw_hair(rng, age, male, ancestry, skin.melanin, allowed, hat_wanted)
-    hat = draw_hat(rng) if hat_wanted and hair.style in UNDER_HAT else None
+    hat = draw_hat(rng) if hat_wanted and STYLES[hair.style].under_hat else None
     top = draw_top(rng)
     return Person(
         age_years=round(age, 2),
