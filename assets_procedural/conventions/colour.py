@@ -1,4 +1,4 @@
-"""The display transform D: linear light to display-referred values, and back.
+"""Colour: sRGB, luminance, and the display transform D from linear light to pictures and back.
 
 y = encode(shoulder(x)), per channel, x linear Rec.709 with 1 = white, after exposure. `shoulder` is
 the identity up to `KNEE` and then a logarithm that joins with equal value and slope, reaches 1 at
@@ -12,6 +12,8 @@ import math
 
 import numpy as np
 
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+"""(3,) luminance of linear Rec.709: `linear @ LUMINANCE`."""
 KNEE = 0.8
 """Linear light up to which the curve is straight."""
 CLIP = 8.0

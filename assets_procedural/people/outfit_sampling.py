@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from assets_procedural.conventions.colour import srgb_decode
 from assets_procedural.people.appearance_sampling import draw_seed, unit
 from assets_procedural.person import Colour, Earrings, Glasses, Hat, Top
 
@@ -18,10 +19,8 @@ _FRAMES = ("#17171a", "#17171a", "#4a2f1d", "#6e4524", "#1f2a44", "#6b2737", "#7
 
 def _linear(colour: str) -> Colour:
     """'#rrggbb' (sRGB) to linear Rec.709."""
-    values = [int(colour[k : k + 2], 16) / 255.0 for k in (1, 3, 5)]
-    red, green, blue = (
-        round(v / 12.92 if v <= 0.04045 else ((v + 0.055) / 1.055) ** 2.4, 4) for v in values
-    )
+    encoded = np.array([int(colour[k : k + 2], 16) for k in (1, 3, 5)]) / 255.0
+    red, green, blue = (round(float(value), 4) for value in srgb_decode(encoded))
     return red, green, blue
 
 

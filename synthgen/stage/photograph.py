@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from assets_procedural.conventions.camera import SENSOR_MM, Camera
-from assets_procedural.conventions.colour import display, to_bytes, undisplay
+from assets_procedural.conventions.colour import LUMINANCE, display, to_bytes, undisplay
 from assets_procedural.conventions.parts import Part
 from assets_procedural.light.backdrop import backdrop, blur_radius
 
@@ -15,7 +15,6 @@ _FACE_LEVEL = 0.30
 _MEDIUM_ALBEDO = 0.40
 _FOLLOW = 0.38
 _F_NUMBER = 2.8
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 
 def face_exposure(linear: np.ndarray, albedo: np.ndarray, parts: np.ndarray) -> float:
@@ -28,9 +27,9 @@ def face_exposure(linear: np.ndarray, albedo: np.ndarray, parts: np.ndarray) -> 
     face = np.isin(parts, (Part.SKIN, Part.NOSE))
     if face.sum() < 16:
         face = parts > 0
-    light = linear[..., :3][face] @ _LUMINANCE
+    light = linear[..., :3][face] @ LUMINANCE
     level = float(np.minimum(light, np.percentile(light, 90)).mean())
-    reflectance = float((albedo[face] @ _LUMINANCE).mean())
+    reflectance = float((albedo[face] @ LUMINANCE).mean())
     target = _FACE_LEVEL * (max(reflectance, 0.03) / _MEDIUM_ALBEDO) ** (1 - _FOLLOW)
     return target / max(level, 1e-6)
 
