@@ -73,11 +73,11 @@ def bake(
 
     import torch
 
-    from assets_procedural.conventions import panorama
+    from assets_procedural.conventions import panorama_files
     from totalediting.light import lightmaps, pictures
     from totalediting.light.files import write_lightmaps
 
-    light = torch.from_numpy(panorama.load(environment)).to(place)
+    light = torch.from_numpy(panorama_files.load(environment)).to(place)
     maps = lightmaps.bake(light, size)
     stored = lightmaps.bake(light, size, normalised=False) if unnormalised else maps
     write_lightmaps(out, stored, environment, normalised=not unnormalised)

@@ -12,7 +12,10 @@ from pathlib import Path
 
 @contextlib.contextmanager
 def replacing(target: Path) -> Iterator[io.BufferedWriter]:
-    """A file that appears under `target` whole, or not at all: temporary name, fsync, rename."""
+    """A file that appears under `target` whole, or not at all: temporary name, fsync, rename.
+
+    Libraries that open files themselves write to its `name`. Missing parents are made.
+    """
     target.parent.mkdir(parents=True, exist_ok=True)
     temporary = target.with_name(f".{target.name}.{os.getpid()}.tmp")
     try:

@@ -1,7 +1,6 @@
 """The pool of environments: bundled panoramas, a user's folder, procedural skies and studios.
 
-The direction-pixel convention and the sign of a rotation are those of
-`assets_procedural.conventions.panorama`, whose functions are offered here as well.
+The direction-pixel convention and the sign of a rotation are those of `conventions.panorama`.
 """
 
 from __future__ import annotations
@@ -21,41 +20,16 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from assets_procedural.conventions.panorama import (
+from assets_procedural.conventions.panorama_files import (
     PanoramaError,
-    direction_to_uv,
     encode_header,
-    irradiance,
     load,
-    lookup,
     read_header,
-    rotate_z,
-    uv_to_direction,
     write,
 )
-from assets_procedural.light.backdrop import backdrop, blur_radius
 from assets_procedural.light.sky import SkyParameters, sky, sky_rand
 from assets_procedural.light.studio import StudioParameters, studio, studio_rand
 from assets_procedural.settings import Interval, Settings, interval
-
-__all__ = [
-    "BUNDLED",
-    "EnvironmentSettings",
-    "EnvironmentSpec",
-    "PanoramaError",
-    "backdrop",
-    "blur_radius",
-    "direction_to_uv",
-    "irradiance",
-    "load",
-    "lookup",
-    "panorama_of",
-    "pool",
-    "provenance",
-    "rotate_z",
-    "uv_to_direction",
-    "write_pool",
-]
 
 BundledName = Literal[
     "city", "courtyard", "forest", "interior", "night", "studio", "sunrise", "sunset"
@@ -221,7 +195,7 @@ def _bundled_folder() -> Path:
             return folder
     raise PanoramaError(
         "the bundled panoramas are part of the bpy package, which is not installed here; "
-        "pip install bpy, or set environments.bundled = []"
+        "pip install 'totalediting[render]', or set environments.bundled = []"
     )
 
 

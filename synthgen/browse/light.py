@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from assets_procedural.conventions import panorama
+from assets_procedural.conventions import panorama_files
 from synthgen.browse.folder import Folder, Refused, name
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ def of_dataset(folder: Folder, identifier: str, height: int) -> np.ndarray:
         try:
             _check_size(path)
             return light.environment_lightmaps(path, height, 0.0, 1.0).numpy()
-        except panorama.PanoramaError as error:
+        except panorama_files.PanoramaError as error:
             raise Refused(str(error).replace(str(path), f"environment {identifier}"), 422) from None
 
 
@@ -54,8 +54,8 @@ def of_upload(content: bytes, height: int) -> np.ndarray:
         try:
             _check_size(path)
             # At most as wide as what maps of 128 rows need by far.
-            return light.bake(panorama.load(path, max_width=2048), height)
-        except (panorama.PanoramaError, ValueError) as error:
+            return light.bake(panorama_files.load(path, max_width=2048), height)
+        except (panorama_files.PanoramaError, ValueError) as error:
             raise Refused(str(error).replace(str(path), "the file"), 422) from None
 
 
@@ -88,13 +88,13 @@ def _check_size(path: Path) -> None:
     image = oiio.ImageInput.open(str(path))
     if image is None:
         oiio.geterror()
-        return  # `panorama.load` says what is wrong
+        return  # `panorama_files.load` says what is wrong
     try:
         spec = image.spec()
     finally:
         image.close()
     if 4 * spec.width * spec.height * spec.nchannels > _LARGEST:
-        raise panorama.PanoramaError(
+        raise panorama_files.PanoramaError(
             f"{path}: is {spec.width} x {spec.height} with {spec.nchannels} channels, more than "
             f"{_LARGEST >> 30} GB once decoded; make it smaller"
         )

@@ -11,7 +11,8 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from assets_procedural.light.pool import EnvironmentSpec, PanoramaError, load, pool
+from assets_procedural.conventions.panorama_files import PanoramaError, load
+from assets_procedural.light.pool import EnvironmentSpec, pool
 from synthgen.dataset import ledger
 from synthgen.errors import JobError
 from synthgen.planning.job import JobSpec

@@ -14,7 +14,7 @@ import numpy as np
 from assets_procedural.assembly import pieces
 from assets_procedural.body.head import Bust, HeadModel
 from assets_procedural.body.landmarks import landmarks
-from assets_procedural.conventions import panorama
+from assets_procedural.conventions import panorama_files
 from assets_procedural.conventions.camera import Camera, resolve
 from assets_procedural.conventions.colour import srgb_encode, to_bytes
 from synthgen.dataset.shot import RenderedSubject, Shot, describe
@@ -169,7 +169,7 @@ def _head_model() -> HeadModel:
 
 @lru_cache(maxsize=10)
 def _panorama(path: Path) -> np.ndarray:
-    return panorama.load(path)
+    return panorama_files.load(path)
 
 
 class _Clock:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from assets_procedural.conventions import panorama
+from assets_procedural.conventions import panorama, panorama_files
 from assets_procedural.conventions.camera import CameraSample, resolve
 from assets_procedural.motion.poses import Pose
 from assets_procedural.person import Beard, Hair, Person
@@ -43,7 +43,7 @@ def write_gradient(folder: Path, name: str, tint: tuple[float, float, float]) ->
     """A soft sky of one tint as `<name>.exr`."""
     direction = panorama.texel_directions(32)
     light = 2 + direction[..., 2:] + 0.3 * direction[..., :1]
-    panorama.write(folder / f"{name}.exr", (light * tint).astype(np.float32), {})
+    panorama_files.write(folder / f"{name}.exr", (light * tint).astype(np.float32), {})
 
 
 def ball_under_a_spot(folder: Path, direction: np.ndarray, rotation: float) -> np.ndarray:
@@ -53,7 +53,7 @@ def ball_under_a_spot(folder: Path, direction: np.ndarray, rotation: float) -> n
     sky = np.full((64, 128, 3), 1e-3, np.float32)
     distance = panorama.texel_directions(64) @ direction
     sky[np.unravel_index(distance.argmax(), distance.shape)] = 5000.0
-    panorama.write(folder / "spot.exr", sky, {})
+    panorama_files.write(folder / "spot.exr", sky, {})
 
     scene.open_stage(SIZE, 16, "cpu", 1)
     graph = _add_ball(64)

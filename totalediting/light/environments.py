@@ -9,7 +9,6 @@ Frames and scales are those of `totalediting.light.lightmaps`; h = rows of the m
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import math
 from functools import cache, lru_cache
 from pathlib import Path
@@ -18,8 +17,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from assets_procedural.conventions import panorama
-from assets_procedural.conventions.files import cache_folder
+from assets_procedural.conventions import panorama_files
+from assets_procedural.conventions.files import cache_folder, replacing, sha256
 from totalediting.light import lightmaps
 
 ROWS = 128
@@ -55,22 +54,18 @@ def baked(path: Path) -> Tensor:
         PanoramaError: the file is missing or no panorama.
     """
     if not path.is_file():
-        raise panorama.PanoramaError(f"{path}: no such panorama; restore it")
+        raise panorama_files.PanoramaError(f"{path}: no such panorama; restore it")
     kept = cache_folder() / "lightmaps" / f"{_digest(path)}-{ROWS}-v{_FORMAT}.npy"
     # A file that is missing, foreign or damaged is made again.
     with contextlib.suppress(OSError, ValueError):
         maps = np.load(kept, allow_pickle=False)
         if maps.shape == (len(lightmaps.LOBES), 3, ROWS, 2 * ROWS) and maps.dtype == np.float32:
             return torch.from_numpy(maps)
-    maps = lightmaps.bake(torch.from_numpy(panorama.load(path)), ROWS)
-    with contextlib.suppress(OSError):  # without a disk for it, memory has to do
-        kept.parent.mkdir(parents=True, exist_ok=True)
-        with panorama.replacing(kept) as temporary, temporary.open("wb") as file:
-            np.save(file, maps.numpy())
+    maps = lightmaps.bake(torch.from_numpy(panorama_files.load(path)), ROWS)
+    # Without a disk for it, memory has to do.
+    with contextlib.suppress(OSError), replacing(kept) as file:
+        np.save(file, maps.numpy())
     return maps
 
 
-@cache
-def _digest(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+_digest = cache(sha256)

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from assets_procedural.conventions import panorama
+from assets_procedural.conventions import panorama_files
 from totalediting.errors import InputError
 from totalediting.light.lightmaps import LOBES
 
@@ -40,13 +40,13 @@ def write_lightmaps(path: Path, lightmaps: torch.Tensor, source: Path, normalise
         "lightmaps_normalised": normalised,
         "lightmaps_convention": CONVENTION,
     }
-    panorama.write_channels(path, dict(zip(LOBES, pixels, strict=True)), header)
+    panorama_files.write_channels(path, dict(zip(LOBES, pixels, strict=True)), header)
 
 
 def read_lightmaps(path: Path) -> torch.Tensor:
     """The lightmaps that `write_lightmaps` stored, (5, 3, H, 2H) float32.
 
-    Whether they are normalised is said by `panorama.read_header(path)["lightmaps_normalised"]`.
+    `panorama_files.read_header(path)["lightmaps_normalised"]` says whether they are normalised.
 
     Raises:
         InputError: no such file, or one that does not hold exactly the five maps.

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from PIL import Image, ImageDraw, ImageFont
 
-from assets_procedural.conventions.panorama import replacing
+from assets_procedural.conventions.files import replacing
 from assets_procedural.light.backdrop import backdrop
 from totalediting.light import phong
 from totalediting.light.ball import shade_ball
@@ -100,5 +100,5 @@ def _bytes(linear: torch.Tensor) -> np.ndarray:
 
 
 def _save(picture: Image.Image, target: Path) -> None:
-    with replacing(target) as temporary:
-        picture.save(temporary, "PNG")
+    with replacing(target) as file:
+        picture.save(file, "PNG")

@@ -11,7 +11,6 @@ Requires pip and, the first time, a way to the package index. The files stay in 
 from __future__ import annotations
 
 import hashlib
-import os
 import subprocess
 import sys
 import tarfile
@@ -21,7 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from assets_procedural.conventions.errors import UserError
-from assets_procedural.conventions.files import cache_folder
+from assets_procedural.conventions.files import cache_folder, write_atomically
 
 
 @dataclass(frozen=True)
@@ -121,11 +120,7 @@ def fetch(name: str, path: Path | str | None = None) -> Path:
     target = cache_folder() / "networks" / f"{network.sha256[:12]}-{network.file_name}"
     if target.exists() and _digest(target.read_bytes()) == network.sha256:
         return target
-    content = _download(name, network)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    temporary = target.with_name(f".{target.name}.{os.getpid()}")
-    temporary.write_bytes(content)
-    os.replace(temporary, target)
+    write_atomically(target, _download(name, network))
     return target
 
 

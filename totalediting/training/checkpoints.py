@@ -25,7 +25,7 @@ import torch
 from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 
-from assets_procedural.conventions.panorama import replacing
+from assets_procedural.conventions.files import write_atomically
 from totalediting.errors import InputError
 from totalediting.presets import Preset, preset_with
 
@@ -242,8 +242,8 @@ def _read_json(path: Path) -> dict[str, Any]:
 
 
 def _write_json(path: Path, content: dict[str, Any]) -> None:
-    with replacing(path) as temporary:
-        temporary.write_text(json.dumps(content, indent=2, sort_keys=True) + "\n")
+    text = json.dumps(content, indent=2, sort_keys=True) + "\n"
+    write_atomically(path, text.encode())
 
 
 def _found(run: Path) -> list[Path]:

@@ -19,7 +19,7 @@ import torch
 from lightning_fabric import Fabric
 from torch import Tensor, nn
 
-from assets_procedural.conventions.panorama import replacing
+from assets_procedural.conventions.files import write_atomically
 from totalediting.errors import InputError
 from totalediting.training import checkpoints
 from totalediting.training.checkpoints import Checkpoint
@@ -255,8 +255,7 @@ class _Log:
         # What was logged after the checkpoint is made again.
         lines = self.path.read_text().splitlines() if self.path.exists() else []
         kept = [line for line in lines if line.endswith("}") and json.loads(line)["step"] < first]
-        with replacing(self.path) as temporary:
-            temporary.write_text("".join(f"{line}\n" for line in kept))
+        write_atomically(self.path, "".join(f"{line}\n" for line in kept).encode())
         self.file = self.path.open("a", buffering=1)
         self.board = SummaryWriter(str(run / "tensorboard"), purge_step=first)
 

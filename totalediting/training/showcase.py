@@ -15,7 +15,7 @@ from PIL import Image, ImageDraw, ImageFont
 from torch import Tensor
 from torch.nn import functional
 
-from assets_procedural.conventions.panorama import replacing
+from assets_procedural.conventions.files import replacing
 from totalediting.data.endless import collate
 from totalediting.data.pairs import PortraitPairs, Sample
 from totalediting.geometry.identity import faces_of
@@ -136,6 +136,6 @@ def _page(columns: dict[str, Tensor], title: str, target: Path) -> Path:
             page.paste(Image.fromarray(np.ascontiguousarray(pixels)), (x, top + k * (_TILE + GAP)))
         x += widths[name] + GAP
     kind = "JPEG" if target.suffix.lower() in (".jpg", ".jpeg") else "PNG"
-    with replacing(target) as temporary:
-        page.save(temporary, kind, quality=92)
+    with replacing(target) as file:
+        page.save(file, kind, quality=92)
     return target

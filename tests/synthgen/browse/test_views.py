@@ -17,7 +17,7 @@ import page_driver
 import pytest
 import torch
 
-from assets_procedural.conventions import panorama
+from assets_procedural.conventions import panorama_files
 from assets_procedural.conventions.colour import srgb_decode
 from synthgen.dataset import open_dataset
 from synthgen.dataset.shot import Shot
@@ -225,7 +225,7 @@ def test_a_dropped_panorama_lights_the_shot(page: Any, shot: Shot, tmp_path: Pat
     sun = np.full((32, 64, 3), 0.05, np.float32)
     sun[8:12, 10:14] = (40.0, 20.0, 5.0)
     path = tmp_path / "sun.exr"
-    panorama.write(path, sun, {})
+    panorama_files.write(path, sun, {})
     redrawn(page, page.get_by_label("Pixel filter").uncheck)
     content = base64.b64encode(path.read_bytes()).decode()
     dragged = page.evaluate_handle(

@@ -21,7 +21,7 @@ import numpy as np
 import pytest
 from rich.progress import Progress
 
-from assets_procedural.conventions import panorama
+from assets_procedural.conventions import panorama_files
 from assets_procedural.conventions.files import sha256
 from synthgen.dataset import ledger, manifest
 from synthgen.farm import local, progress, run, worker
@@ -436,7 +436,7 @@ def test_another_panorama_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyP
     mine, out = tmp_path / "mine", tmp_path / "out"
     mine.mkdir()
     for name in "abcd":
-        panorama.write(mine / f"{name}.exr", np.full((8, 16, 3), 0.5), {})
+        panorama_files.write(mine / f"{name}.exr", np.full((8, 16, 3), 0.5), {})
     job = fake_renderer.small_job(environments={"bundled": [], "folder": mine})
     shown: list[str] = []
     track = Progress.track
@@ -451,12 +451,12 @@ def test_another_panorama_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyP
     entries = ledger.read_dataset_json(out)["environments"]
     assert entries[1]["sha256"] == sha256(mine / "b.exr")
     stored = sha256(out / "environments" / "user_b.exr")
-    panorama.write(mine / "b.exr", np.full((8, 16, 3), 0.7), {})
+    panorama_files.write(mine / "b.exr", np.full((8, 16, 3), 0.7), {})
     with pytest.raises(ledger.StorageError, match=r"environment user_b has another content") as e:
         render(out, job=job)
     assert "\n" not in str(e.value)
     assert sha256(out / "environments" / "user_b.exr") == stored
-    panorama.write(mine / "b.exr", np.full((8, 16, 3), 0.5), {})
+    panorama_files.write(mine / "b.exr", np.full((8, 16, 3), 0.5), {})
     (out / "environments" / "user_a.exr").write_bytes(b"as it was rendered with")
     (out / "environments" / "user_b.exr").unlink()
     render(out, job=job, limit=1)

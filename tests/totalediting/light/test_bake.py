@@ -18,7 +18,7 @@ import torch
 from answer import Answer
 from PIL import Image
 
-from assets_procedural.conventions import panorama
+from assets_procedural.conventions import panorama, panorama_files
 from assets_procedural.light.pool import EnvironmentSettings, pool
 from totalediting import cli
 from totalediting.errors import InputError
@@ -53,12 +53,12 @@ def environment(tmp_path: Path) -> Path:
     radiance = 0.2 + 0.1 * direction[..., 2:] + np.zeros(3)
     radiance[5, 20] = (40.0, 20.0, 5.0)
     path = tmp_path / "sky.exr"
-    panorama.write(path, radiance.astype(np.float32), {})
+    panorama_files.write(path, radiance.astype(np.float32), {})
     return path
 
 
 def radiance_of(path: Path) -> torch.Tensor:
-    return torch.from_numpy(panorama.load(path))
+    return torch.from_numpy(panorama_files.load(path))
 
 
 def test_help_is_quick_and_imports_nothing_heavy(totalediting: Run) -> None:
@@ -91,7 +91,7 @@ def test_the_file_holds_fifteen_float_channels_that_equal_the_bake(
         for lobe, maps in zip(lightmaps.LOBES, expected, strict=True):
             for c, plane in zip("RGB", maps, strict=True):
                 assert np.array_equal(file.channels()[f"{lobe}.{c}"].pixels, plane)
-    header = panorama.read_header(out)
+    header = panorama_files.read_header(out)
     assert header["lightmaps_source"] == "sky.exr"
     assert header["lightmaps_sha256"] == hashlib.sha256(environment.read_bytes()).hexdigest()
     assert header["lightmaps_normalised"] == "true"
@@ -108,7 +108,7 @@ def test_unnormalised_maps_are_the_integrals(
     plain, integrals = tmp_path / "plain.exr", tmp_path / "integrals.exr"
     totalediting("bake", environment, "--out", plain)
     totalediting("bake", environment, "--out", integrals, "--unnormalised")
-    assert panorama.read_header(integrals)["lightmaps_normalised"] == "false"
+    assert panorama_files.read_header(integrals)["lightmaps_normalised"] == "false"
     factors = torch.tensor([math.pi, *(2 * math.pi / (n + 1) for n in (1, 16, 32, 64))])
     wanted = read_lightmaps(plain) * factors[:, None, None, None]
     torch.testing.assert_close(read_lightmaps(integrals), wanted)
@@ -123,8 +123,10 @@ def test_lightmaps_come_back_as_they_were_written(environment: Path, tmp_path: P
 def test_other_files_are_no_lightmaps(environment: Path, tmp_path: Path) -> None:
     (tmp_path / "text.exr").write_text("not an image")
     square = {lobe: np.ones((8, 8, 3), np.float32) for lobe in lightmaps.LOBES}
-    panorama.write_channels(tmp_path / "square.exr", square, {})
-    panorama.write_channels(tmp_path / "grey.exr", {"diffuse": np.ones((8, 16), np.float32)}, {})
+    panorama_files.write_channels(tmp_path / "square.exr", square, {})
+    panorama_files.write_channels(
+        tmp_path / "grey.exr", {"diffuse": np.ones((8, 16), np.float32)}, {}
+    )
     cases = {
         "missing.exr": "no such file",
         "text.exr": "cannot be read",
@@ -224,9 +226,9 @@ def test_a_device_that_is_not_there_is_one_line(
 def test_bad_panoramas_are_one_line(failure: Callable[..., str], tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     light = rng.gamma(0.5, 2.0, (8, 16, 3)).astype(np.float32)
-    panorama.write_channels(tmp_path / "square.exr", {"RGB": light[:, :8]}, {})
+    panorama_files.write_channels(tmp_path / "square.exr", {"RGB": light[:, :8]}, {})
     light[2, 3, 1] = np.nan
-    panorama.write_channels(tmp_path / "nan.exr", {"RGB": light}, {})
+    panorama_files.write_channels(tmp_path / "nan.exr", {"RGB": light}, {})
     Image.fromarray(rng.integers(0, 256, (8, 16, 3), np.uint8)).save(tmp_path / "photo.png")
     cases = {
         "missing.exr": "no such file",
