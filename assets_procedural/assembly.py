@@ -1,4 +1,4 @@
-"""Everything a person wears and grows, gathered: the pieces that go on their bust."""
+"""All pieces that go on a person's bust: eyes, mouth, clothes, accessories and hair."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from assets_procedural.person import Person
 
 
 def pieces(person: Person, identity: Identity) -> list[Piece]:
-    """All surfaces and strands of a person but the skin; deterministic in the person's seeds."""
+    """All surfaces and strands of a person except the skin; deterministic in the person's seeds."""
     scalp = np.random.default_rng(person.hair.seed)
     brows = np.random.default_rng(person.brows.seed)
     beard = np.random.default_rng(person.beard.seed)

@@ -7,7 +7,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict
 
 
 class Settings(BaseModel):
-    """Immutable, and an unknown key is an error: a misspelt setting must not pass silently."""
+    """Immutable; unknown keys are errors, since a misspelt setting must not pass silently."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 

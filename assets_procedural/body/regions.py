@@ -88,7 +88,7 @@ def fields(model: HeadModel) -> dict[str, np.ndarray]:
     socket = _behind(model, (lid_loop(model, "left"), lid_loop(model, "right")))
     inside = model.masks["inside-mouth"].astype(float)
     ears = model.masks["ears"].astype(float)
-    # The rim of the mouth is painted as both; it is lip until mostly inside.
+    # The rim of the mouth is in both masks; it counts as lip until it is mostly inside.
     lips = model.masks["lips"] * (1 - np.clip(2 * inside - 1, 0, 1))
     zones = _zones(model, ears, lips)
     outside = (1 - inside) * (1 - socket)
@@ -160,7 +160,7 @@ def mirror(model: HeadModel) -> np.ndarray:
 
 
 def edge_loop(model: HeadModel, first: int, second: int) -> np.ndarray:
-    """The closed loop of vertices that goes straight on from the edge `first`, `second`.
+    """The closed loop of vertices that continues straight from the edge `first`, `second`.
 
     Raises:
         ValueError: the loop ends at a pole or a border of the skin.
@@ -210,7 +210,7 @@ def _behind(model: HeadModel, loops: tuple[np.ndarray, ...]) -> np.ndarray:
 
 
 def _without_spikes(label: np.ndarray, quads: np.ndarray) -> np.ndarray:
-    """Quads that three of their four neighbours disagree with take their neighbours' label."""
+    """Quads that differ from three of their four neighbours take the neighbours' label."""
     edges = np.sort(np.stack([quads, np.roll(quads, -1, axis=1)], axis=-1), axis=-1)
     _, edge = np.unique(edges.reshape(-1, 2), axis=0, return_inverse=True)
     total = np.bincount(edge, weights=np.repeat(label.astype(float), 4))

@@ -1,4 +1,4 @@
-"""Where strands are rooted: points on triangles of the skin, drawn by density, and riding on it.
+"""Where strands are rooted: points on triangles of the skin, sampled by density, that move with it.
 
 "Template space" is that of `HeadModel.template`: regions such as a hairline are defined there once
 and so fit every subject. Symbols: V vertices, N strands, K points a strand, R roots.
@@ -56,7 +56,7 @@ def sample_roots(
     model = identity.model
     quads = model.faces["skin"] if faces is None else faces
     triangles = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
-    # The corners and the centre tell where a triangle can carry anything at all.
+    # The corners and the centre show whether anything can grow on a triangle at all.
     probes = np.vstack([np.eye(3) * 0.94 + 0.02, np.full((1, 3), 1 / 3)])
     chance = np.zeros(len(triangles))
     for probe in probes:
@@ -71,7 +71,7 @@ def sample_roots(
     found: list[Roots] = []
     total, batch = 0, int(1.6 * count) + 64
     for _ in range(12):
-        # A stratified draw over the area keeps roots from leaving bald gaps.
+        # Stratified sampling over the area avoids bald gaps.
         u = (rng.permutation(batch) + rng.random(batch)) / batch
         chosen = np.minimum(np.searchsorted(edges, u), len(triangles) - 1)
         r1, r2 = np.sqrt(rng.random(batch)), rng.random(batch)
@@ -110,7 +110,7 @@ class HeadFrame:
 
 @dataclass(frozen=True, eq=False)
 class SkinBound:
-    """Strands that ride on the triangle of their root, for hair of the face.
+    """Strands that move with the triangle of their root, for facial hair.
 
     `local` (N, K, 3) are the points in the frame of the root's triangle.
     """

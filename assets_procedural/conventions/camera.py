@@ -23,7 +23,7 @@ LANDMARK_MARGIN = 0.25
 
 
 class CameraSample(Parameters):
-    """Where a camera stands about a head that is not known yet. Angles in radians.
+    """Where a camera stands relative to a head that is not known yet. Angles in radians.
 
     `yaw`: 0 in front, positive towards the subject's left. `pitch`: positive looks from above.
     `roll`: of the camera about its viewing axis, positive counter-clockwise as the photographer

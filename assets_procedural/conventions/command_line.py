@@ -1,4 +1,4 @@
-"""What both commands share: errors in one line, messages of libraries, missing extras."""
+"""What both commands share: one-line errors, log messages, missing extras."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ EXTRAS = {
 
 
 def run(app: Callable[[], None]) -> None:
-    """Run a command line; errors of the user's making are one line on stderr and exit code 2."""
+    """Run a command line; user errors become one line on stderr and exit code 2."""
     set_up_logging()
     try:
         app()
@@ -40,7 +40,7 @@ def run(app: Callable[[], None]) -> None:
 
 
 def set_up_logging() -> None:
-    """Show what libraries log, from INFO, on stderr; in every process that a command starts."""
+    """Show log messages from INFO up on stderr; call it in every process that a command starts."""
     root = logging.getLogger()
     if not any(isinstance(handler, _ConsoleHandler) for handler in root.handlers):
         root.addHandler(_ConsoleHandler())
@@ -49,7 +49,7 @@ def set_up_logging() -> None:
 
 
 class _ConsoleHandler(logging.Handler):
-    """One line a message, never wrapped; warnings and errors say that they are."""
+    """One unwrapped line per message; warnings and errors are marked as such."""
 
     def emit(self, record: logging.LogRecord) -> None:
         level = (

@@ -1,4 +1,4 @@
-"""Files written whole or not at all (temporary name, fsync, rename), hashes, the cache folder."""
+"""Atomic file writes (temporary name, fsync, rename), hashes, the cache folder."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from pathlib import Path
 
 @contextlib.contextmanager
 def replacing(target: Path) -> Iterator[io.BufferedWriter]:
-    """A file that appears under `target` whole, or not at all: temporary name, fsync, rename.
+    """Open a file that appears as `target` whole or not at all: temporary name, fsync, rename.
 
-    Libraries that open files themselves write to its `name`. Missing parents are made.
+    Libraries that open files themselves can write to its `name`. Missing parent folders are made.
     """
     target.parent.mkdir(parents=True, exist_ok=True)
     temporary = target.with_name(f".{target.name}.{os.getpid()}.tmp")
@@ -32,7 +32,7 @@ def replacing(target: Path) -> Iterator[io.BufferedWriter]:
 
 
 def write_atomically(target: Path, content: bytes) -> None:
-    """Commit `content` under `target`."""
+    """Write `content` to `target`, whole or not at all."""
     with replacing(target) as file:
         file.write(content)
 

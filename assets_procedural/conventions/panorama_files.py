@@ -1,4 +1,4 @@
-"""Panoramas in files: .exr and .hdr are read, .exr is written.
+"""Reading panoramas from .exr and .hdr files, and writing .exr.
 
 OpenImageIO and OpenEXR are imported where they are used: the command line imports this module.
 """
@@ -85,7 +85,7 @@ def _check_radiance(path: Path, panorama: np.ndarray) -> None:
         raise PanoramaError(f"{path}: is black; an environment must emit light")
     if high > 1.0 or low == high:
         return
-    # At most 1 everywhere: a photograph saved as float betrays itself by its 256 levels or by
+    # At most 1 everywhere: a photograph saved as float gives itself away by its 256 levels or by
     # highlights clipped to one value.
     levels = max(len(np.unique(panorama[..., channel])) for channel in range(3))
     clipped = float(np.mean(panorama == high))
@@ -110,7 +110,7 @@ def write(path: Path, panorama: np.ndarray, header: dict[str, Any]) -> None:
 
 
 def write_channels(path: Path, channels: dict[str, np.ndarray], header: dict[str, Any]) -> None:
-    """Store arrays of one height and width atomically as EXR (ZIP), in the precision they have.
+    """Store arrays of equal height and width atomically as EXR (ZIP), in their own precision.
 
     An array (H, W) becomes the channel of its name; one (H, W, 3) the channels <name>.R, .G and .B,
     or R, G and B if its name is "RGB". `header` as in `write`. Equal input gives equal bytes.

@@ -1,4 +1,4 @@
-"""Labels of what is seen at a pixel."""
+"""Part labels: what is visible at a pixel."""
 
 from __future__ import annotations
 

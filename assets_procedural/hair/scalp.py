@@ -26,7 +26,7 @@ def scalp_density(person: Person, style: Style, ears: np.ndarray, soft: float) -
         if style.volume > 0:
             grown = grown * (0.25 + 0.75 * _bare_risk(points, inside, style, person))
         if style.crown > 0:
-            # What pattern baldness leaves: a wreath, and down on the top.
+            # What pattern baldness leaves: a horseshoe of hair, and fuzz on top.
             top = smoothstep(0.786, 0.818, points[:, 2] - 0.15 * np.maximum(points[:, 1], 0))
             grown = grown * (1 - style.crown * 0.97 * top)
         return grown
@@ -35,7 +35,7 @@ def scalp_density(person: Person, style: Style, ears: np.ndarray, soft: float) -
 
 
 def _bare_risk(points: np.ndarray, inside: np.ndarray, style: Style, person: Person) -> np.ndarray:
-    """Where hair only leaves and none arrives to cover the skin, (R,) in [0, 1].
+    """Where hair grows away and none falls back to cover the skin, (R,) in [0, 1].
 
     At a parting, the whorl and the front hairline hair must grow denser for the same cover.
     """
@@ -58,7 +58,7 @@ def _part_line(person: Person, y: np.ndarray) -> np.ndarray:
 
 
 def parting_sides(points: np.ndarray, person: Person, rng: np.random.Generator) -> np.ndarray:
-    """Side (-1, 1) of the parting; hairs close to it cross over, so that it shows no bare line."""
+    """Side (-1, 1) of the parting; hairs close to it cross over, so no bare line shows."""
     gap = points[:, 0] - _part_line(person, points[:, 1])
     gap = gap + rng.normal(0, 0.002, len(points))
     return np.where(gap > 0, 1, -1)

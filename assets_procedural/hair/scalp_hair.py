@@ -146,7 +146,7 @@ def _grow(
     """Guides (G, steps + 1, 3) at rest."""
     length = _lengths(style, person, root_at, rng)
     if style.tie is not None:
-        # Just as long as the way to the tie over the skull.
+        # Exactly as long as the path over the skull to the tie.
         length = 1.18 * np.linalg.norm(frame.to_rest(np.asarray(style.tie)) - root, axis=1)
     step = (length / _STEPS)[:, None]
     layer = rng.uniform(style.layers, 1, len(root))

@@ -35,7 +35,7 @@ BundledName = Literal[
     "city", "courtyard", "forest", "interior", "night", "studio", "sunrise", "sunset"
 ]
 
-_AT_ONCE = min(4, os.cpu_count() or 1)  # panoramas that are made side by side
+_AT_ONCE = min(4, os.cpu_count() or 1)  # panoramas that are made in parallel
 _POLY_HAVEN = "https://polyhaven.com/a/"
 BUNDLED: dict[str, str] = {
     "city": _POLY_HAVEN + "portland_landing_pad",
@@ -103,7 +103,7 @@ class EnvironmentSpec(Settings):
 
 
 def pool(settings: EnvironmentSettings, seed: int) -> tuple[EnvironmentSpec, ...]:
-    """All environments of a job, in a fixed order, each with an id of its own.
+    """All environments of a job, in a fixed order, each with a unique id.
 
     The n-th sky or studio depends on `seed` and n alone. Files are found, not read.
 
@@ -145,7 +145,7 @@ def panorama_of(spec: EnvironmentSpec) -> np.ndarray:
 def write_pool(specs: Iterable[EnvironmentSpec], folder: Path) -> list[Path]:
     """Store environments as `folder`/<id>.exr, each once; returns their paths.
 
-    A file that is there with the same provenance is kept, so that an interrupted call continues.
+    A file with the same provenance is kept, so an interrupted call can be repeated.
 
     Raises:
         PanoramaError: a user's file cannot be used.
@@ -153,7 +153,7 @@ def write_pool(specs: Iterable[EnvironmentSpec], folder: Path) -> list[Path]:
     folder.mkdir(parents=True, exist_ok=True)
     paths, rest = [], iter(specs)
     with ThreadPoolExecutor(_AT_ONCE) as threads:
-        # By handfuls, so that who counts the specs sees how far it is.
+        # In batches, so that a caller who counts the specs can show progress.
         while some := list(islice(rest, _AT_ONCE)):
             paths += threads.map(partial(_store, folder), some)
     return paths
@@ -168,7 +168,7 @@ def _store(folder: Path, spec: EnvironmentSpec) -> Path:
 
 
 def provenance(spec: EnvironmentSpec) -> dict[str, Any]:
-    """What is recorded of an environment; of one that comes from a file also its sha256."""
+    """What is recorded about an environment, with the sha256 of its file if it comes from one."""
     entry = spec.model_dump(mode="json")
     if spec.path is not None and spec.path.is_file():
         entry["sha256"] = hashlib.sha256(spec.path.read_bytes()).hexdigest()
@@ -182,7 +182,7 @@ def _header(spec: EnvironmentSpec) -> dict[str, Any]:
 def _same_header(path: Path, header: dict[str, Any]) -> bool:
     try:
         found = read_header(path)
-    except Exception:  # OpenEXR raises what it likes on a damaged file, which is then rewritten
+    except Exception:  # OpenEXR raises various types on a damaged file, which is then rewritten
         return False
     return all(found.get(key) == text for key, text in encode_header(header).items())
 

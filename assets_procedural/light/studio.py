@@ -57,7 +57,7 @@ class StudioParameters(Settings):
 
 
 def studio_rand(rng: np.random.Generator) -> StudioParameters:
-    """Draw a set-up: key, most often a fill, often one or two rims, seldom a top light."""
+    """Draw a set-up: key, usually a fill, often one or two rims, rarely a top light."""
     side = float(rng.choice([-1.0, 1.0]))
     kelvin = float(rng.normal(5300.0, 350.0)) if rng.random() < 0.7 else rng.uniform(2900.0, 7500.0)
     lights = [
@@ -176,7 +176,7 @@ def _softbox_shape(direction: np.ndarray, light: Softbox) -> tuple[np.ndarray, n
     x = np.abs(direction @ across) / depth / np.tan(np.radians(light.width / 2.0))
     y = np.abs(direction @ along) / depth / np.tan(np.radians(light.height / 2.0))
     shape = _step(1.0 - x, light.edge) * _step(1.0 - y, light.edge) * (cosine > 0.0)
-    # Brighter in the middle, as a lamp behind a cloth is.
+    # Brighter in the middle, like a lamp behind a diffuser.
     return shape * (1.0 - 0.25 * np.clip((x**2 + y**2) / 2.0, 0.0, 1.0)), cosine
 
 
@@ -186,7 +186,7 @@ def blackbody(kelvin: float) -> np.ndarray:
     Planckian locus of Kang et al. (2002), 1667 to 25000 K.
     """
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # it misses plotting libraries that nobody needs here
+        warnings.simplefilter("ignore")  # it warns about missing plotting libraries
         import colour  # here: it takes a second, and only studios need it
 
     xyz = colour.xy_to_XYZ(colour.temperature.CCT_to_xy_Kang2002(kelvin))

@@ -1,7 +1,7 @@
 """Catmull-Clark subdivision as one sparse matrix, so that it can be applied to any vertex array.
 
-The renderer, the labels and the tests share the very mesh that this makes: what Cycles shows is
-known to numpy vertex by vertex.
+The renderer, the labels and the tests share this mesh: every vertex that Cycles renders is known in
+numpy.
 
 Symbols: V, F, E vertices, quads and edges of the control mesh; V' = V + E + F refined vertices.
 """

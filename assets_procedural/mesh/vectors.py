@@ -1,4 +1,4 @@
-"""Small functions of shading languages on arrays: unit vectors, steps, angles, rigid motions."""
+"""Small shading-language functions on arrays: unit vectors, steps, angles, rigid motions."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 
 def unit(vectors: np.ndarray) -> np.ndarray:
-    """Vectors (..., 3) at length 1; null vectors stay null."""
+    """Vectors (..., 3) at unit length; zero vectors stay zero."""
     return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)
 
 

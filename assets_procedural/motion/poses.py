@@ -140,7 +140,7 @@ _WIDE = [ARKIT_NAMES.index("eyeWideLeft"), ARKIT_NAMES.index("eyeWideRight")]
 
 
 def sample_pose(rng: np.random.Generator, settings: PoseSettings) -> Pose:
-    """Draw one pose: expression, speech or blink, head turn and a gaze that goes with it."""
+    """Draw one pose: expression, speech or blink, head turn and a matching gaze."""
     head = _draw_head(rng, settings)
     bias = _draw_bias(rng)
     actions: Actions = {}
@@ -192,7 +192,7 @@ def _draw_bias(rng: np.random.Generator) -> dict[str, float]:
 
 
 def _draw_within(rng: np.random.Generator, interval_degrees: Interval) -> float:
-    """Radians inside an interval, the middle likelier than the ends."""
+    """Radians inside an interval; the middle is likelier than the ends."""
     low, high = interval_degrees
     return float(np.radians(low + (high - low) * rng.beta(1.7, 1.7)))
 

@@ -1,4 +1,4 @@
-"""What a person wears on the head: glasses, earrings, hats."""
+"""What a person wears on the head: glasses, earrings, a hat."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _LOBE = (12041, 12019)
 
 
 def accessories(person: Person, identity: Identity) -> list[MeshPiece]:
-    """Glasses, earrings and hat, as far as the person wears them.
+    """The glasses, earrings and hat that the person wears, if any.
 
     Raises:
         KeyError: an unknown shape or style.

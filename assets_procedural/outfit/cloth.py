@@ -17,7 +17,7 @@ from assets_procedural.body.head import HeadModel, vertex_normals
 from assets_procedural.mesh.subdivision import catmull_clark
 from assets_procedural.person import Person
 
-# An edge cut closer to its end than this share moves its end onto the cut instead: no slivers.
+# An edge cut closer to its end than this share moves that end onto the cut, to avoid slivers.
 _SNAP = 0.3
 
 
@@ -91,7 +91,7 @@ class Sheet:
         return smoothing(self.faces, len(self.field))
 
     def keep(self, wanted: np.ndarray) -> Sheet:
-        """Only the faces of the mask (T,), with the vertices they use."""
+        """Keep only the faces of the mask (T,) and the vertices they use."""
         used, local = np.unique(self.faces[wanted], return_inverse=True)
         return Sheet(self.matrix[used], local.reshape(-1, 3).astype(np.int32), self.field[used])
 

@@ -106,7 +106,7 @@ class _Fit:
         eyes = rest[np.concatenate([model.groups["eye_left"], model.groups["eye_right"]])]
         # Clear of the lashes, and of the bridge.
         self.front = min(eyes[:, 1].min() - 0.0115, bridge[1] - 0.0045)
-        # No brow, nose or cheek may come through: step forward until nothing does.
+        # Step forward until no brow, nose or cheek pokes through.
         near = np.abs(skin[:, 0]) < self.scale * (shape.centre + shape.half_width)
         near &= skin[:, 1] < self.middle[1]
         inside = _within(skin[near], self, shape)

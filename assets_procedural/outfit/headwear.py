@@ -1,6 +1,6 @@
 """Hats: a beanie and a baseball cap, cut from the scalp and draped over it.
 
-As in `wardrobe`, the cut is a level set over the average person at rest; `field > 0` is hat.
+As in `tops`, the cut is a level set over the average person at rest; `field > 0` is hat.
 """
 
 from __future__ import annotations

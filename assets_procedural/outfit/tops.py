@@ -234,7 +234,7 @@ class _Garment:
         return np.concatenate([ring_strip(a, b) for a, b in itertools.pairwise(rings)])
 
     def _close(self, loop: np.ndarray, cloth: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """Carry a sleeve or the waist on beyond the bust's end, and close it there."""
+        """Extend a sleeve or the waist beyond the end of the bust, and close it there."""
         edge = cloth[loop]
         middle = edge.mean(axis=0)
         sideways = np.abs(middle[0]) > 0.5 * np.ptp(cloth[:, 0]) * 0.5

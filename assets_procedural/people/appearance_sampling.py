@@ -32,12 +32,12 @@ _IRIS_WEIGHTS_MEDIUM = (0.35, 0.42, 0.06, 0.12, 0.03, 0.01, 0.01)
 
 
 def unit(value: float) -> float:
-    """Clipped to [0, 1] and short in JSON."""
+    """Clip to [0, 1] and round, so that JSON stays short."""
     return round(float(np.clip(value, 0.0, 1.0)), 4)
 
 
 def draw_seed(rng: np.random.Generator) -> int:
-    """Seed of a texture or of strands, kept with the parameters."""
+    """Draw the seed of a texture or of strands, which is stored with the parameters."""
     return int(rng.integers(2**31))
 
 
@@ -175,7 +175,7 @@ def draw_beard(
     ancestry: Ancestry,
     probability: float,
 ) -> Beard:
-    """None but for adult men, of whom the share `probability` has facial hair."""
+    """Facial hair for the share `probability` of adult men, none for everyone else."""
     wanted = rng.random() < probability
     thin = 0.6 * ancestry["asian"] + 0.15 * ancestry["african"]
     young = np.clip((age - ADULT) / 8.0, 0.25, 1.0)

@@ -1,4 +1,4 @@
-"""Joint distribution of people: who there is, and how it shows."""
+"""The joint distribution of people: demographics first, appearance given them."""
 
 from __future__ import annotations
 
