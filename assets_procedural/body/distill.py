@@ -27,7 +27,7 @@ import numpy as np
 from assets_procedural.body.head import BONES, HEAD_FILE
 from assets_procedural.conventions import command_line, files
 
-# Quads of the template above this height and within this half width (metres) form the bust, which is
+# Quads of the template above this height and within this half width (metres) form the bust. It is
 # open only below the chest and at the two arm stumps.
 BUST_FLOOR = 0.33
 BUST_HALF_WIDTH = 0.235

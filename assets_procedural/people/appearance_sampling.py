@@ -31,7 +31,7 @@ _IRIS_WEIGHTS_LIGHT = (0.03, 0.2, 0.07, 0.18, 0.12, 0.12, 0.28)
 _IRIS_WEIGHTS_MEDIUM = (0.35, 0.42, 0.06, 0.12, 0.03, 0.01, 0.01)
 
 
-def unit(value: float) -> float:
+def clipped(value: float) -> float:
     """Clip to [0, 1] and round, so that JSON stays short."""
     return round(float(np.clip(value, 0.0, 1.0)), 4)
 
@@ -59,13 +59,13 @@ def draw_skin(rng: np.random.Generator, age: float, male: bool, ancestry: Ancest
     lines = np.clip((age - 22.0) / 58.0, 0.0, 1.0) ** 1.15 * (1.0 - 0.25 * melanin)
     youth = np.exp(-(((age - 16.0) / 6.0) ** 2))
     return Skin(
-        melanin=unit(melanin),
-        haemoglobin=unit(rng.normal(0.5 - 0.2 * melanin, 0.15)),
-        freckles=unit(rng.beta(1.5, 2.5) * (0.3 + 0.7 * fair) if freckled else 0.0),
+        melanin=clipped(melanin),
+        haemoglobin=clipped(rng.normal(0.5 - 0.2 * melanin, 0.15)),
+        freckles=clipped(rng.beta(1.5, 2.5) * (0.3 + 0.7 * fair) if freckled else 0.0),
         moles=int(rng.poisson(1.5 + 3.0 * np.clip(age / 60.0, 0.0, 1.0))),
-        blemishes=unit(rng.beta(1.3, 5.0) + 0.35 * youth * rng.random()),
-        wrinkles=unit(lines * rng.uniform(0.75, 1.15) + 0.03),
-        oiliness=unit(rng.beta(2.5, 3.0) * (1.1 if male else 0.95) * (1.15 - age / 200.0)),
+        blemishes=clipped(rng.beta(1.3, 5.0) + 0.35 * youth * rng.random()),
+        wrinkles=clipped(lines * rng.uniform(0.75, 1.15) + 0.03),
+        oiliness=clipped(rng.beta(2.5, 3.0) * (1.1 if male else 0.95) * (1.15 - age / 200.0)),
         seed=draw_seed(rng),
     )
 
@@ -83,7 +83,7 @@ def draw_hair(
     # Coily hair follows African ancestry, straight hair Asian; the rest is straight to wavy.
     texture = ancestry["african"] * rng.normal(0.85, 0.1) + ancestry["caucasian"] * rng.beta(1.6, 3)
     texture += ancestry["asian"] * rng.beta(1.2, 12.0)
-    curl = unit(texture)
+    curl = clipped(texture)
     style = _draw_style(rng, age, male, curl, allowed, under_hat)
     dark = 1.0 - ancestry["caucasian"] * float(np.clip(1.0 - (skin_melanin - 0.1) / 0.25, 0.0, 1.0))
     natural = float(
@@ -104,13 +104,13 @@ def draw_hair(
     parting = 0.0 if rng.random() < 0.3 else side * rng.uniform(0.3, 1.0)
     return Hair(
         style=style,
-        melanin=unit(melanin),
-        redness=unit(redness),
-        grey=unit(grey),
-        length=unit(rng.beta(2.0, 2.0)),
+        melanin=clipped(melanin),
+        redness=clipped(redness),
+        grey=clipped(grey),
+        length=clipped(rng.beta(2.0, 2.0)),
         parting=round(float(parting), 4),
         curl=curl,
-        density=unit(rng.normal(0.82, 0.1) - thinning * rng.random()),
+        density=clipped(rng.normal(0.82, 0.1) - thinning * rng.random()),
         seed=draw_seed(rng),
     )
 
@@ -151,10 +151,10 @@ def draw_eyes(
     )
     return Eyes(
         iris=(red, green, blue),
-        limbus=unit(rng.normal(0.65 - 0.3 * np.clip((age - 40.0) / 50.0, 0.0, 1.0), 0.12)),
+        limbus=clipped(rng.normal(0.65 - 0.3 * np.clip((age - 40.0) / 50.0, 0.0, 1.0), 0.12)),
         # The pupil narrows with age.
         pupil_mm=round(float(np.clip(rng.normal(4.2 - 0.015 * age, 0.6), 2.0, 6.0)), 3),
-        redness=unit(rng.beta(1.6, 6.0) + 0.1 * np.clip((age - 50.0) / 40.0, 0.0, 1.0)),
+        redness=clipped(rng.beta(1.6, 6.0) + 0.1 * np.clip((age - 50.0) / 40.0, 0.0, 1.0)),
         seed=draw_seed(rng),
     )
 
@@ -162,8 +162,8 @@ def draw_eyes(
 def draw_brows(rng: np.random.Generator, age: float, male: bool) -> Brows:
     """Thicker for men, thinner with age."""
     return Brows(
-        thickness=unit(rng.normal(0.6 if male else 0.42, 0.15)),
-        density=unit(rng.normal(0.68 - 0.25 * np.clip((age - 50.0) / 40.0, 0.0, 1.0), 0.12)),
+        thickness=clipped(rng.normal(0.6 if male else 0.42, 0.15)),
+        density=clipped(rng.normal(0.68 - 0.25 * np.clip((age - 50.0) / 40.0, 0.0, 1.0), 0.12)),
         seed=draw_seed(rng),
     )
 
@@ -187,4 +187,4 @@ def draw_beard(
     seed = draw_seed(rng)
     if not (male and age >= ADULT and wanted):
         return Beard(seed=seed)
-    return Beard(style=style, length_mm=round(length, 3), density=unit(density), seed=seed)
+    return Beard(style=style, length_mm=round(length, 3), density=clipped(density), seed=seed)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from assets_procedural.conventions.colour import srgb_decode
-from assets_procedural.people.appearance_sampling import draw_seed, unit
+from assets_procedural.people.appearance_sampling import clipped, draw_seed
 from assets_procedural.person import Colour, Earrings, Glasses, Hat, Top
 
 _GARMENTS = (
@@ -49,7 +49,7 @@ def draw_glasses(
     colour = _METALS[rng.integers(len(_METALS))] if metal else frame
     tinted = rng.random() < sunglasses
     tint = rng.uniform(0.7, 0.92) if tinted else rng.uniform(0.0, 0.04)
-    return Glasses(shape=shape, colour=colour, metal=metal, tint=unit(tint)) if worn else None
+    return Glasses(shape=shape, colour=colour, metal=metal, tint=clipped(tint)) if worn else None
 
 
 def draw_earrings(

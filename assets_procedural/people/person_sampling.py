@@ -10,12 +10,12 @@ from pydantic import Field, model_validator
 from assets_procedural.hair.styles import STYLES
 from assets_procedural.people.appearance_sampling import (
     HairStyle,
+    clipped,
     draw_beard,
     draw_brows,
     draw_eyes,
     draw_hair,
     draw_skin,
-    unit,
 )
 from assets_procedural.people.face_shape import draw_asymmetry, draw_shape
 from assets_procedural.people.outfit_sampling import draw_earrings, draw_glasses, draw_hat, draw_top
@@ -144,11 +144,11 @@ def _draw_phenotypes(
     dimorphism = 0.4 * rng.beta(1.4, 2.6)
     heavier = 0.05 * np.clip((age - 25.0) / 30.0, 0.0, 1.0)
     return {
-        "gender": unit(dimorphism if male else 1.0 - dimorphism),
+        "gender": clipped(dimorphism if male else 1.0 - dimorphism),
         "age": round(phenotype_age(age), 4),
-        "muscle": unit(np.clip(rng.normal(0.55 if male else 0.45, 0.13), 0.15, 0.9)),
-        "weight": unit(np.clip(rng.normal(0.5 + heavier, 0.15), 0.15, 0.95)),
-        "height": unit(np.clip(rng.normal(0.5, 0.13), 0.15, 0.85)),
-        "proportions": unit(rng.beta(2.5, 2.5)),
+        "muscle": clipped(np.clip(rng.normal(0.55 if male else 0.45, 0.13), 0.15, 0.9)),
+        "weight": clipped(np.clip(rng.normal(0.5 + heavier, 0.15), 0.15, 0.95)),
+        "height": clipped(np.clip(rng.normal(0.5, 0.13), 0.15, 0.85)),
+        "proportions": clipped(rng.beta(2.5, 2.5)),
         **ancestry,
     }
