@@ -7,13 +7,14 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw
 
+from synthgen.dataset.folder import Place
 from synthgen.dataset.reading import open_dataset
 from synthgen.dataset.shot import Shot
 from synthgen.pictures.page import EDGE, FAINT, GAP, INK, PAPER, Tile, font, put, save, thumbnail
 from synthgen.pictures.passes import passes
 
 
-def show(out: Path | str, key: str, target: Path | str, subset: str | None = None) -> Path:
+def show(out: Place, key: str, target: Path | str, subset: str | None = None) -> Path:
     """Draw a shot: every environment with its panorama, then every pass. Returns `target`.
 
     Raises `StorageError` if there is no such shot.
