@@ -16,7 +16,6 @@ import numpy as np
 from synthgen.dataset.codecs import encode_json
 from synthgen.dataset.folder import DatasetFolder, Place, StorageError
 from synthgen.dataset.reading import open_dataset
-from synthgen.dataset.shards import MEMBER_OF
 from synthgen.dataset.shot import Shot
 from synthgen.farm.process import start
 from synthgen.farm.run import time_allowed
@@ -102,9 +101,8 @@ def compare(stored: Shot, again: Shot) -> Report:
         )
         for i, (a, b) in enumerate(pairs):
             fields[f"{name}_{i:02d}"] = _difference(a, b)
-    for name in MEMBER_OF:
-        if name not in ("geometry", "meta"):
-            fields[name] = _difference(getattr(stored, name), getattr(again, name))
+    for name in stored.passes:
+        fields[name] = _difference(stored.passes[name], again.passes.get(name))
     for name in sorted(stored.geometry | again.geometry):
         ours, theirs = stored.geometry.get(name), again.geometry.get(name)
         fields[f"geometry {name}"] = _difference(ours, theirs)

@@ -13,8 +13,8 @@ from synthgen.dataset.folder import Place
 from synthgen.dataset.reading import Dataset, open_dataset
 from synthgen.dataset.records import Description, PlannedSubset
 from synthgen.dataset.shot import Shot
+from synthgen.pictures.drawing import pictures
 from synthgen.pictures.page import EDGE, FAINT, GAP, INK, PAPER, Tile, font, put, save, thumbnail
-from synthgen.pictures.passes import passes
 
 SHEET = 1560
 
@@ -100,7 +100,7 @@ class _Sheet:
             self._block(block)
         strip = (SHEET - 2 * EDGE - 7 * GAP) // 8
         self._text("passes of one shot, shared by its environments", 17, INK, 32)
-        shown = passes(self.blocks[0].subjects[0][0]) if image else dict.fromkeys(range(8))
+        shown = pictures(self.blocks[0].subjects[0][0]) if image else dict.fromkeys(range(8))
         for i, (name, picture) in enumerate(shown.items()):
             self._tile(picture, EDGE + i * (strip + GAP), self.y, strip, strip, str(name))
         self.y += strip + 32

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from synthgen.dataset import passes
 from synthgen.dataset.records import Counts, Description
 from synthgen.planning.plan import SPLITS
 from synthgen.publish.licences import licence
@@ -10,10 +11,7 @@ from synthgen.publish.licences import licence
 FIELDS = {
     "rgb_00.png": "Display-referred image under environment 00 (01, 02, … for the others)",
     "hdr_00.exr": "Linear Rec.709 premultiplied foreground, half float",
-    "albedo.png": "True base colour, sRGB",
-    "aov.exr": "normal.XYZ (camera space), depth.Z (planar, metres), uv.UV, canonical.XYZ (metres)",
-    "alpha.png": "Soft matte",
-    "parts.png": "FaceSynthetics part ids 0-18, 255 = ignore",
+    **passes.contents(),
     "geometry.npz": "Control points posed and canonical, normals, joints, 3D landmarks",
     "meta.json": "Camera, environments, exposures, expression, pose, gaze, 2D landmarks, seeds; "
     "`person` is a JSON string",

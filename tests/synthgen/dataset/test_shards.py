@@ -15,6 +15,7 @@ from assets_procedural.conventions.files import replacing, write_atomically
 from synthgen.dataset import shards
 from synthgen.dataset.codecs import decode_exr
 from synthgen.dataset.gate import inspect
+from synthgen.dataset.passes import PASSES
 from synthgen.dataset.shot import Shot
 from synthgen.planning.plan import plan
 
@@ -49,7 +50,7 @@ def test_member_names_are_those_of_the_contract(shot: Shot):
         *("alpha.png", "parts.png", "geometry.npz", "meta.json"),
     ]
     planes = decode_exr(shards.encode(shot)["aov.exr"])
-    assert set(planes) == set(shards.AOV_CHANNELS)
+    assert set(planes) == {channel for p in PASSES for channel in p.channels}
     assert planes["normal.X"].dtype == np.float16
     assert planes["depth.Z"].dtype == np.float32
 
