@@ -9,6 +9,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from synthgen.dataset.folder import DatasetFolder, Place, StorageError
 
+FORMAT = 1
+"""Of the datasets that are written and read, see docs/dataset.md."""
+
 
 class Record(BaseModel):
     """Base of all records: they never change, and keys of other versions are passed through."""

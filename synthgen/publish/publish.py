@@ -20,6 +20,7 @@ from synthgen.dataset import ledger, manifest
 from synthgen.dataset.codecs import encode_json
 from synthgen.dataset.folder import DatasetFolder, Place, StorageError
 from synthgen.dataset.records import (
+    FORMAT,
     Counts,
     Description,
     PlannedSubset,
@@ -30,8 +31,6 @@ from synthgen.dataset.records import (
 from synthgen.planning.job import JobSpec
 from synthgen.planning.plan import SPLITS, Plan
 from synthgen.publish import card, croissant, licences
-
-FORMAT = 1
 
 
 @functools.cache

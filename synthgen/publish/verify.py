@@ -18,7 +18,7 @@ from assets_procedural.conventions.files import sha256
 from synthgen.dataset import columns, ledger
 from synthgen.dataset.codecs import decode_exr
 from synthgen.dataset.folder import DatasetFolder, Place, StorageError
-from synthgen.dataset.records import description_json
+from synthgen.dataset.records import FORMAT, description_json
 from synthgen.planning.plan import SPLITS, Plan, ShardPlan
 from synthgen.publish import publish
 from synthgen.publish.verify_shard import UNCHECKED, check_shard, unfailing
@@ -37,8 +37,8 @@ def verify(out: Place, workers: int | None = None) -> list[str]:
     info = description_json(folder)
     if not isinstance(info, dict):
         return ["dataset.json: holds no table"]
-    if info.get("format") != publish.FORMAT:
-        return [f"dataset.json: format {info.get('format')}, not {publish.FORMAT}"]
+    if info.get("format") != FORMAT:
+        return [f"dataset.json: format {info.get('format')}, not {FORMAT}"]
     try:
         plan = publish.stored_plan(folder)
     except StorageError as error:

@@ -20,7 +20,7 @@ from scipy import sparse
 from torch import Tensor
 
 from assets_procedural.motion.poses import ARKIT_NAMES
-from synthgen.dataset import open_dataset
+from synthgen.dataset import FORMAT, open_dataset
 from totalediting.errors import InputError
 from totalediting.geometry.field import Control
 from totalediting.geometry.tracking import EXPRESSIONS, FILL, FOCAL_MM, Tracking
@@ -29,8 +29,6 @@ from totalediting.light.environments import environment_lightmaps
 from totalediting.light.phong import display, undisplay
 from totalediting.pretrained import sface
 
-FORMAT = 1
-"""Of the datasets that are read, see docs/dataset.md."""
 SPLITS = ("train", "validation", "test")
 
 
