@@ -15,8 +15,8 @@
     /lightmaps/{environment}?height=                numbers, see `light`; POST /lightmaps of a file
 
 A selection is what `selection` says. Numbers are raw and little-endian, their shape and type in
-X-Shape ("480,640,3") and X-Type. What goes wrong is {"error": one line} with a 4xx status: 400 for
-a bad question, 401 without the token, 404 for what is not there, 422 for bytes that are damaged.
+X-Shape ("480,640,3") and X-Type. Errors are {"error": one line} with a 4xx status: 400 for a
+bad request, 401 without the token, 404 for what is not there, 422 for bytes that are damaged.
 """
 
 from __future__ import annotations

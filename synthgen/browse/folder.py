@@ -1,4 +1,4 @@
-"""The dataset's folder as the only place that is read: paths are checked before they are opened.
+"""The dataset's folder, from which alone files are served: paths are checked before opening.
 
 Names come from addresses, from the manifest and from dataset.json, and none of them is trusted.
 """
@@ -14,7 +14,7 @@ from synthgen.dataset.records import description_json
 
 
 class Refused(Exception):
-    """A request that is not answered: `status` is HTTP's, `str()` one line for the user."""
+    """A request that is refused: `status` is the HTTP status, `str()` one line for the user."""
 
     def __init__(self, reason: str, status: int = 404) -> None:
         self.status = status
@@ -49,7 +49,7 @@ class Folder:
                 "lie in the dataset's folder are shown"
             )
         if not stat.S_ISREG(mode):
-            raise Refused(f"{brief(name)}: is no file")
+            raise Refused(f"{brief(name)}: is not a regular file")
         return path
 
     def _look(self, path: Path, name: str) -> tuple[Path | None, int]:

@@ -34,8 +34,8 @@ from synthgen.dataset.ledger import ATTEMPTS
 from synthgen.dataset.records import Failure, ShardRecord
 
 _NAME = re.compile(r"\w{1,128}", re.ASCII)
-_SETTLE = 2.0  # seconds between two looks at the folder
-_REST = 10.0  # times what a reading took pass before the next: rendering needs the cores, too
+_SETTLE = 2.0  # seconds between two checks of the folder
+_REST = 10.0  # loads' durations of rest between two: rendering needs the cores, too
 _SMALL = 20_000  # shots that are read into memory before anything is served
 _PATIENCE = 1.0  # seconds that a larger manifest waits for the first page to be served
 

@@ -79,6 +79,7 @@ class DatasetFolder:
         self.manifests = self.root / "manifest"
         self.environments = self.root / "environments"
         self.data = self.root / "data"
+        self.subjects = self.root / "subjects"
         self.work = self.root / "work"
         self.logs = self.work / "logs"
         self.locks = self.work / "locks"
@@ -120,8 +121,8 @@ class DatasetFolder:
         self._name(key, "key")
         waiting = self.waiting(subset)
         return SubjectFiles(
-            mesh=self.root / "subjects" / subset / f"{key}.glb",
-            parameters=self.root / "subjects" / subset / f"{key}.json",
+            mesh=self.subjects / subset / f"{key}.glb",
+            parameters=self.subjects / subset / f"{key}.json",
             waiting_tar=waiting / f"{key}.tar",
             waiting_rows=waiting / f"{key}.json",
             failure=self.failed(subset) / f"{key}.json",
@@ -158,7 +159,7 @@ class DatasetFolder:
     def folders(self, subset: str) -> tuple[Path, ...]:
         """All folders that hold files of a subset alone."""
         records, waiting, failed = self.records(subset), self.waiting(subset), self.failed(subset)
-        return self.data / subset, self.root / "subjects" / subset, records, waiting, failed
+        return self.data / subset, self.subjects / subset, records, waiting, failed
 
     # ------------------------------------------------------------ all there are
 
@@ -180,6 +181,15 @@ class DatasetFolder:
     def relative(self, path: Path) -> str:
         """How manifests and records name a file of the folder: with slashes, from its root."""
         return path.relative_to(self.root).as_posix()
+
+    def panoramas_pattern(self) -> str:
+        """A glob of all panoramas, relative to the folder."""
+        return f"{self.relative(self.environments)}/*.exr"
+
+    def shards_pattern(self, subset: str, split: str = "") -> str:
+        """A glob of the shards of a subset or of one of its splits, relative to the folder."""
+        folder = self.relative(self.data / self._name(subset, "subset"))
+        return f"{folder}/{split}-*.tar" if split else f"{folder}/*.tar"
 
     def inside(self, name: str) -> Path:
         """The inverse of `relative`; `StorageError` for a name that leads out of the folder."""

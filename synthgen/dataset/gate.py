@@ -93,10 +93,10 @@ def _normal_angle(shot: Shot, mask: np.ndarray) -> float:
 
 
 def inspect(shot: Shot) -> tuple[list[str], dict[str, float]]:
-    """The gate: every broken promise of the dataset contract, one line each, and the quality.
+    """Check a shot against the dataset contract: problems, one line each, and quality figures.
 
-    No problem means that the shot may be stored. The figures are empty if shapes or values are so
-    wrong that none can be computed.
+    A shot without problems may be stored. There are no figures if shapes or values are too wrong
+    to compute any.
     """
     if problems := _shapes(shot) or _values(shot):
         return problems, {}

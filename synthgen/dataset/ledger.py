@@ -1,8 +1,8 @@
-"""What is done, what failed and why. The truth is on disk, so any process may ask.
+"""What is done, what failed and why. All state is on disk, so any process can read it.
 
-Where it lies is `synthgen.dataset.folder`'s, what is written is `synthgen.dataset.records`'. A
-subject is done when its rows of the manifest exist, a shard when its record exists and its tar has
-the recorded size. Both are committed after what they vouch for.
+`synthgen.dataset.folder` says where it lies, `synthgen.dataset.records` what is written. A subject
+is done when its rows of the manifest exist, a shard when its record exists and its tar has the
+recorded size. Both are committed after what they vouch for.
 """
 
 from __future__ import annotations

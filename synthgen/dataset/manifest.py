@@ -156,7 +156,7 @@ def connect(out: Place) -> duckdb.DuckDBPyConnection:
 
 @dataclass(frozen=True)
 class Result:
-    """What a query found."""
+    """The result of a query."""
 
     column_names: list[str]
     rows: list[tuple[Any, ...]]

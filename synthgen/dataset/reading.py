@@ -3,7 +3,7 @@
     for shot in open_dataset("out/demo", subset="multiview", split="train"):
         shot.rgb, shot.depth, shot.meta["camera"]
 
-Needs neither Blender nor torch. A dataset that is still being rendered reads as far as it is.
+Needs neither Blender nor torch. Of a dataset that is still being rendered, it reads what is done.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Shot <-> members of a tar; subjects to a shard.
+"""Shots as members of a tar and back, and subjects joined to shards.
 
 A subject is encoded to bytes of consecutive tar entries; a shard is the concatenation of its
 subjects and the end-of-archive blocks. Everything is deterministic byte for byte: member order,
@@ -91,7 +91,7 @@ def decode(key: str, members: dict[str, bytes]) -> Shot:
 
 
 def decode_fields(members: dict[str, bytes]) -> dict[str, Any]:
-    """Decode whatever members are there: `rgb_00`, `hdr_00`, `albedo`, `normal`, `depth`, …"""
+    """Decode the members that are given: `rgb_00`, `hdr_00`, `albedo`, `normal`, `depth`, …"""
     fields: dict[str, Any] = {}
     for name, data in members.items():
         stem, _, extension = name.rpartition(".")
@@ -143,7 +143,7 @@ def tar_entry(name: str, content: bytes) -> bytes:
 def read_members(path: Path, offset: int, size: int) -> Iterator[tuple[str, int, bytes]]:
     """Entries that lie in bytes [offset, offset + size) of a tar: (name, content offset, content).
 
-    Raises `ValueError` if the bytes are no whole tar entries.
+    Raises `ValueError` if the bytes are not whole tar entries.
     """
     end = offset + size
     with path.open("rb") as file:

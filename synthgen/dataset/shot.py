@@ -8,7 +8,7 @@ Camera space: OpenGL axes (x right, y up, the camera looks along -z), pixel cent
   landmarks_canonical  (70, 3) float32, the same points on the canonical bust
   control_points, control_points_canonical, control_normals, control_normals_canonical  (N, 3)
   joints               (J, 4, 4) float32, rest-to-posed transforms; their names in meta["joints"]
-`meta` is what `describe` returns, with two more that only a renderer knows
+`meta` is what `describe` returns, plus two entries that only a renderer knows
   exposures            the linear factor of each environment: rgb = D(exposure x linear)
   joints               names of the joints in `geometry`
 and whatever else it adds: the same keys and types in every shot of a subset, no null and no empty

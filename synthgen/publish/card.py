@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from synthgen.dataset import passes
+from synthgen.dataset.folder import DatasetFolder
 from synthgen.dataset.records import Counts, Description
 from synthgen.planning.plan import SPLITS
 from synthgen.publish.licences import licence
+
+HERE = DatasetFolder(".")
+"""The card lies in the folder, and names files from there."""
 
 # member -> what it is
 FIELDS = {
@@ -40,7 +44,7 @@ def card(info: Description) -> str:
     for subset in info.plan:
         lines += [f"- config_name: {subset}", "  data_files:"]
         for split in _splits(info, subset):
-            lines += [f"  - split: {split}", f"    path: data/{subset}/{split}-*.tar"]
+            lines += [f"  - split: {split}", f"    path: {HERE.shards_pattern(subset, split)}"]
     lines += ["---", "", f"# {info.name}", ""]
     total, job = totals(info), info.job
     lines += [

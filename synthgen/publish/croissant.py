@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from synthgen.dataset.records import Description
-from synthgen.publish.card import totals
+from synthgen.publish.card import HERE, totals
 from synthgen.publish.licences import licence
 
 # The specification's, of terms in its own vocabulary, which go by the same name with a prefix.
@@ -35,14 +35,15 @@ def croissant(info: Description) -> dict[str, Any]:
     records: list[dict[str, Any]] = []
     for subset in info.plan:
         table, tars = f"{subset}-manifest", f"{subset}-shards"
+        path = HERE.relative(HERE.manifest(subset))
         distribution.append(
             {
                 "@type": "cr:FileObject",
                 "@id": table,
                 "name": table,
-                "contentUrl": f"manifest/{subset}.parquet",
+                "contentUrl": path,
                 "encodingFormat": "application/x-parquet",
-                "sha256": info.files[f"manifest/{subset}.parquet"],
+                "sha256": info.files[path],
             }
         )
         distribution.append(
@@ -51,7 +52,7 @@ def croissant(info: Description) -> dict[str, Any]:
                 "@id": tars,
                 "name": tars,
                 "encodingFormat": "application/x-tar",
-                "includes": f"data/{subset}/*.tar",
+                "includes": HERE.shards_pattern(subset),
             }
         )
         columns = [
@@ -88,7 +89,7 @@ def croissant(info: Description) -> dict[str, Any]:
             "@id": "environments",
             "name": "environments",
             "encodingFormat": "image/x-exr",
-            "includes": "environments/*.exr",
+            "includes": HERE.panoramas_pattern(),
         }
     )
     total = totals(info)

@@ -1,4 +1,4 @@
-"""What surrounds the shards: dataset.json first, and all else once the last shard is there.
+"""Everything around the shards: dataset.json first, the rest once the last shard is there.
 
 `begin` opens a folder for a job, `complete` writes what only a finished dataset has.
 """

@@ -1,4 +1,4 @@
-"""Checking a dataset again, from its bytes: every shard against every promise of the contract."""
+"""Verifying a dataset from its bytes: every shard against the whole contract."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def verify(out: Place, workers: int | None = None) -> list[str]:
     folder = DatasetFolder(out)
     info = description_json(folder)
     if not isinstance(info, dict):
-        return ["dataset.json: holds no table"]
+        return ["dataset.json: not a JSON object"]
     if info.get("format") != FORMAT:
         return [f"dataset.json: format {info.get('format')}, not {FORMAT}"]
     try:
@@ -131,7 +131,7 @@ def _check_environment(path: Path, name: str) -> Iterator[str]:
     if image.shape[1] != 2 * image.shape[0]:
         yield f"{name}: {image.shape[1]}x{image.shape[0]} pixels, not 2:1"
     if not np.isfinite(image).all() or (image < 0).any():
-        yield f"{name}: has values that are not finite or negative"
+        yield f"{name}: has negative, NaN or infinite values"
 
 
 def _check_table(

@@ -1,4 +1,4 @@
-"""Checking one shard against its record, the plan and the manifest."""
+"""Verifying one shard against its record, the plan and the manifest."""
 
 from __future__ import annotations
 
@@ -45,9 +45,9 @@ def check_shard(
 
 
 def unfailing(where: str, problems: Iterator[str]) -> Iterator[str]:
-    """`problems`, and one more that says why if finding them fails: a check never raises.
+    """Yield `problems`, and one more that says why if looking for them fails.
 
-    A damaged file may hold anything, so that any access to what it should hold can fail.
+    A damaged file may hold anything, so any access to its content may raise anything.
     """
     try:
         yield from problems
@@ -136,7 +136,7 @@ def _samples(
                 found = _sample(folder, shot, check, row, places)
                 yield from (f"{key}: {problem}" for problem in unfailing("", found))
     except (tarfile.TarError, EOFError, OSError) as error:
-        yield f"not a whole tar: {' '.join(str(error).split())[:120]}"
+        yield f"truncated or damaged tar: {' '.join(str(error).split())[:120]}"
 
 
 def _sample(
@@ -180,7 +180,7 @@ def _against_plan(
 ) -> Iterator[str]:
     index = meta.get("index", -1)
     if index not in shard.subjects:
-        yield f"subject {index} does not belong into this shard"
+        yield f"subject {index} does not belong in this shard"
         return
     subject = subject_of(index)
     shot = next((s for s in subject.shots if s.key == key), None)

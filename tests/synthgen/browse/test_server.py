@@ -231,10 +231,13 @@ def test_histograms_hold_every_value_between_their_edges(ask: TestClient, small_
             {"facets": '{"failed": ["yes"]}'},
             "facets: failed: give a list of values of type boolean",
         ),
-        ({"ranges": '{"camera_yaw": [1]}'}, "ranges: camera_yaw: give [low, high]; null is no end"),
+        (
+            {"ranges": '{"camera_yaw": [1]}'},
+            "ranges: camera_yaw: give [low, high]; null leaves an end open",
+        ),
         (
             {"ranges": '{"camera_yaw": [NaN, 1]}'},
-            "ranges: camera_yaw: give [low, high]; null is no end",
+            "ranges: camera_yaw: give [low, high]; null leaves an end open",
         ),
         (
             {"ranges": '{"split": [0, 1]}'},
