@@ -15,8 +15,8 @@
     /lightmaps/{environment}?height=                numbers, see `light`; POST /lightmaps of a file
 
 A selection is what `selection` says. Numbers are raw and little-endian, their shape and type in
-X-Shape ("480,640,3") and X-Type. What goes wrong is {"error": one line} with a 4xx status: 400 for
-a bad question, 401 without the token, 404 for what is not there, 422 for bytes that are damaged.
+X-Shape ("480,640,3") and X-Type. Errors are {"error": one line} with a 4xx status: 400 for a
+bad request, 401 without the token, 404 for what is not there, 422 for bytes that are damaged.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ from synthgen.browse.sandbox import ROWS
 from synthgen.browse.security import Guard, plain_header
 from synthgen.browse.snapshot import Library, Snapshot
 from synthgen.browse.thumbnails import SIZES, Thumbnails
-from synthgen.dataset.ledger import StorageError
+from synthgen.dataset.folder import StorageError
 
 _ASSETS = files("synthgen.browse") / "assets"
 # An address does not say which bytes it stands for, so before long it is asked about again.

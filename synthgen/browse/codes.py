@@ -1,6 +1,6 @@
-"""Columns as small whole numbers, one a row: a value of a list, or a bin of a histogram.
+"""Columns encoded as small integers, one per row: an index of a value, or a histogram's bin.
 
-Counting a selection then is counting small numbers at its rows, a millisecond a column for a
+Counting a selection then means counting small integers at its rows, a millisecond a column for a
 million rows, where SQL would read the values themselves again.
 """
 

@@ -1,6 +1,6 @@
-"""How a selection is spread over the values of every column.
+"""Facets and histograms: how many rows of a selection have which values.
 
-The counts of a column leave its own choice out: they say what another choice there would show.
+A column's own filter is left out of its counts: they say what another choice would show.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What the columns of a manifest are for people: type, kind of filter, group, label."""
+"""How the columns of a manifest are presented: type, kind of filter, group, label."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which rows a selection has, in its order: found once, then shared by every page and count.
+"""The rows of a selection, in its order: found once, then shared by every page and count.
 
 Rows are numbers, their places in the table in memory. A page of a grid, its total and the counts
 beside it ask for the same rows, and so does every further page as one scrolls down.

@@ -1,4 +1,4 @@
-"""A DuckDB that can do nothing but answer: no files, no extensions, no settings, limited time.
+"""A DuckDB that can only answer queries: no files, no extensions, no settings, limited time.
 
 What a user types is never run as it stands. It is parsed first and must be one expression over the
 manifest's columns; then it runs in a database of its own that the rest of the machine is shut to.

@@ -1,4 +1,4 @@
-"""Who may ask, and what a page may do: hosts, the token, and the headers of every answer.
+"""Who may connect, and what the page may do: hosts, the token, and the headers of every answer.
 
 On the loopback interface the name of the host is checked, so that a page of another site cannot
 ask through a name that it lets point here. Elsewhere a token is asked for, in the address once and

@@ -1,7 +1,7 @@
-"""What a page shows, as an address says it, and the SQL that it becomes.
+"""A selection of rows: parsed from the query string, turned into SQL.
 
-    facets={"subset": ["multiview"], "environments": ["city"]}  any of the values; null is a value
-    ranges={"camera_yaw": [-0.5, 0.5], "cost_beauty": [10, null]}  ends included; null is no end
+    facets={"subset": ["multiview"], "environments": ["city"]}  one of these; null is a value
+    ranges={"camera_yaw": [-0.5, 0.5], "cost_beauty": [10, null]}  inclusive; null is open
     where=person_age_years > 60 AND person_hair_style = 'bob'
     sort=person_age_years  descending=1
 
@@ -158,5 +158,5 @@ def _ends(name: str, ends: Any, column: Column) -> tuple[float | None, float | N
         e is None or (isinstance(e, int | float) and not isinstance(e, bool) and math.isfinite(e))
         for e in ends
     ):
-        raise Refused(f"ranges: {name}: give [low, high]; null is no end", 400)
+        raise Refused(f"ranges: {name}: give [low, high]; null leaves an end open", 400)
     return ends[0], ends[1]

@@ -66,7 +66,7 @@ def mesh(folder: Folder, snapshot: Snapshot, subset: str, subject: str) -> bytes
     if not isinstance(name, str):
         raise Refused(f"the manifest names no mesh of {subset}/{subject}")
     path = folder.file(name)
-    if not name.startswith("subjects/") or path.stat().st_size > _LARGEST:
+    if folder.layout.subjects not in path.parents or path.stat().st_size > _LARGEST:
         raise Refused(f"{name[:80]} is no mesh of a subject")
     content = path.read_bytes()
     if not content.startswith(b"glTF"):

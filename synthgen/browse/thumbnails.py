@@ -21,7 +21,7 @@ from synthgen.browse.samples import Broken, Sample
 from synthgen.pictures.page import fit
 
 SIZES = (96, 160, 240, 320, 480)
-"""Widths that are made; another one gets the next larger."""
+"""Widths that are drawn; a request gets the next larger one."""
 LIMIT = 256 << 20
 """Bytes that the cache may hold."""
 

@@ -1,4 +1,4 @@
-"""Drawing on a page: pictures at their places, with labels."""
+"""Pages of pictures with labels."""
 
 from __future__ import annotations
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from synthgen.publish.card import totals
+from synthgen.dataset.records import Description
+from synthgen.publish.card import HERE, totals
 from synthgen.publish.licences import licence
 
 # The specification's, of terms in its own vocabulary, which go by the same name with a prefix.
@@ -28,20 +29,21 @@ CONTEXT: dict[str, Any] = {
 } | {term: f"cr:{term}" for term in _TERMS}
 
 
-def croissant(info: dict[str, Any]) -> dict[str, Any]:
+def croissant(info: Description) -> dict[str, Any]:
     """Croissant 1.1 metadata: the manifests as tables, the shards as sets of files."""
     distribution: list[dict[str, Any]] = []
     records: list[dict[str, Any]] = []
-    for subset in info["plan"]:
+    for subset in info.plan:
         table, tars = f"{subset}-manifest", f"{subset}-shards"
+        path = HERE.relative(HERE.manifest(subset))
         distribution.append(
             {
                 "@type": "cr:FileObject",
                 "@id": table,
                 "name": table,
-                "contentUrl": f"manifest/{subset}.parquet",
+                "contentUrl": path,
                 "encodingFormat": "application/x-parquet",
-                "sha256": info["files"][f"manifest/{subset}.parquet"],
+                "sha256": info.files[path],
             }
         )
         distribution.append(
@@ -50,7 +52,7 @@ def croissant(info: dict[str, Any]) -> dict[str, Any]:
                 "@id": tars,
                 "name": tars,
                 "encodingFormat": "application/x-tar",
-                "includes": f"data/{subset}/*.tar",
+                "includes": HERE.shards_pattern(subset),
             }
         )
         columns = [
@@ -87,7 +89,7 @@ def croissant(info: dict[str, Any]) -> dict[str, Any]:
             "@id": "environments",
             "name": "environments",
             "encodingFormat": "image/x-exr",
-            "includes": "environments/*.exr",
+            "includes": HERE.panoramas_pattern(),
         }
     )
     total = totals(info)
@@ -95,19 +97,19 @@ def croissant(info: dict[str, Any]) -> dict[str, Any]:
         "@context": CONTEXT,
         "@type": "sc:Dataset",
         "conformsTo": "http://mlcommons.org/croissant/1.1",
-        "name": info["name"],
-        "description": f"{total['frames']} synthetic portraits of {total['subjects']} people with "
+        "name": info.name,
+        "description": f"{total.frames} synthetic portraits of {total.subjects} people with "
         "geometry, masks, cameras and environments.",
         "license": licence(info)[1],
-        "citeAs": f"{info['name']}, rendered by synthgen {info['code']['version']}",
+        "citeAs": f"{info.name}, rendered by synthgen {info.code['version']}",
         # Relative to this file: where the dataset will be published is not known here.
         "url": "README.md",
         "creator": {
             "@type": "sc:Organization",
-            "name": f"synthgen {info['code']['version']}",
+            "name": f"synthgen {info.code['version']}",
         },
-        "datePublished": info["created"],
-        "version": f"{info['format']}.0.0",
+        "datePublished": info.created,
+        "version": f"{info.format}.0.0",
         "isLiveDataset": False,
         "distribution": distribution,
         "recordSet": records,
