@@ -3,37 +3,43 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+import synthgen
 from assets_procedural.conventions import console
-from assets_procedural.conventions.command_line import run
+from assets_procedural.conventions.command_line import print_version, run
+from synthgen import farm
 from synthgen.farm import DEFAULT_RENDERER
 
 if TYPE_CHECKING:
     from assets_procedural.light.pool import EnvironmentSpec
+    from synthgen.dataset.ledger import Status
 
 app = typer.Typer(
     help="Render portrait datasets of synthetic people, with exact labels, under many lights.",
     no_args_is_help=True,
-    add_completion=False,
+    rich_markup_mode="markdown",
     pretty_exceptions_enable=False,
 )
 
-Job = Annotated[Path, typer.Argument(metavar="JOB.toml", help="A job file; see render_jobs/.")]
+Job = Annotated[
+    str, typer.Argument(metavar="JOB", help="A job file (.toml), or a name of `synthgen jobs`.")
+]
 Dataset = Annotated[Path, typer.Argument(metavar="DIR", help="A dataset's folder.")]
 Key = Annotated[str, typer.Argument(metavar="KEY", help="A shot: [multiview/]s000003_p01.")]
 Overrides = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="Override a value of the job; repeatable."),
 ]
-Device = Annotated[str, typer.Option(help="cpu, cuda, optix, hip or metal.")]
+Device = Annotated[farm.Device, typer.Option(help="What Blender renders on.")]
 Threads = Annotated[int, typer.Option(min=1, help="Threads of each worker.")]
 Subset = Annotated[
     str | None, typer.Option(help="The subset, where a key occurs in more than one.")
 ]
 Renderer = Annotated[str, typer.Option(hidden=True)]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON, with the keys listed above.")]
 
 
 def main() -> None:
@@ -41,23 +47,72 @@ def main() -> None:
     run(app)
 
 
+@app.callback()
+def program(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version",
+            help="Print the version and exit.",
+            is_eager=True,
+            callback=print_version(f"synthgen {synthgen.__version__}"),
+        ),
+    ] = False,
+) -> None:
+    """Options of the program itself; its help is that of `app`."""
+
+
+@app.command()
+def jobs() -> None:
+    """List the jobs that come with the package, for `plan` and `render` to take by name."""
+    from rich.table import Table
+
+    from synthgen.planning.job import load_job
+    from synthgen.planning.shipped_jobs import purpose, shipped_jobs
+
+    table = Table(box=None, pad_edge=False)
+    table.add_column("job", no_wrap=True)
+    for column in ("people", "frames"):
+        table.add_column(column, justify="right")
+    table.add_column("what for")
+    for name, file in shipped_jobs().items():
+        subsets = load_job(file).subsets.values()
+        people = sum(s.subjects for s in subsets)
+        frames = sum(s.subjects * s.shots * s.environments for s in subsets)
+        table.add_row(name, f"{people:,}", f"{frames:,}", console.escape(purpose(file)))
+    console.stdout().print(table)
+
+
 @app.command()
 def plan(
     job: Job,
     overrides: Overrides = None,
-    calibrate: Annotated[
-        bool, typer.Option("--calibrate", help="Measure this machine first (some minutes, kept).")
-    ] = False,
     within: Annotated[
         str | None, typer.Option(metavar="TIME", help="Deadline such as 12h, 7d or 2w.")
     ] = None,
+    like: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Go by what this dataset took, as if rendered here."),
+    ] = None,
+    calibrate: Annotated[
+        bool, typer.Option("--calibrate", help="Measure this machine first (some minutes, kept).")
+    ] = False,
     device: Device = "cpu",
     threads: Threads = 1,
+    as_json: AsJson = False,
     renderer: Renderer = DEFAULT_RENDERER,
 ) -> None:
-    """Say what a job amounts to: subjects, shots, frames, bytes, core-hours, machines."""
-    from synthgen.farm import calibration, preflight
-    from synthgen.farm.estimate import estimate, report
+    """Say what a job amounts to: subjects, shots, frames, bytes, core-hours, machines.
+
+    Hours come from the dataset of --like, else from a calibration of this machine, else from what
+    was rendered on it before, else from reference figures; the answer says which.
+
+    JSON: name, resolution, samples, environments, device, threads, processes, subsets (name, kind,
+    subjects, shots, frames, bytes, process_hours, costs: source, exact, dataset, measured),
+    subjects, shots, frames, bytes, process_hours, elapsed_hours, within_hours, machines. source is
+    named, calibration, rendered or reference.
+    """
+    from synthgen.farm import calibration, estimate, preflight
     from synthgen.planning.job import load_job
 
     spec = load_job(job, overrides or ())
@@ -74,7 +129,16 @@ def plan(
                 progress.update(task, completed=done, total=total)
 
             calibration.save(measure(the_plan, renderer, device, threads, advance))
-    report(estimate(the_plan, device, threads, renderer), hours, console.stdout())
+    named = []
+    if like is not None:
+        from synthgen.farm.recorded import recorded_costs
+
+        named = recorded_costs(like, device, threads)
+    result = estimate.estimate(the_plan, device, threads, renderer, named)
+    if as_json:
+        _print_json(estimate.as_json(result, hours))
+    else:
+        estimate.report(result, hours, console.stdout())
 
 
 @app.command()
@@ -131,6 +195,8 @@ def render(
         retry_failed=retry_failed,
         time_limit=time_limit,
     )
+    if summary.rendered:
+        _remember_costs(out, device, threads)
     screen = console.stdout()
     done = f"{summary.rendered} subjects, {summary.frames} frames"
     took = console.duration(summary.seconds)
@@ -143,13 +209,21 @@ def render(
 
 
 @app.command()
-def status(out: Dataset) -> None:
-    """Say what is done, running and failed; works while rendering."""
+def status(out: Dataset, as_json: AsJson = False) -> None:
+    """Say what is done, running and failed; works while rendering.
+
+    JSON: name, complete, frames, frames_done, workers, frames_per_second, seconds_left (both null
+    while nothing runs), subsets (name, subjects, done, failed, shards, bytes, frames_per_subject),
+    running (subset, key, seconds), failures (subset, key, attempts, reason, log).
+    """
     from rich.table import Table
 
     from synthgen.dataset import ledger
 
     state = ledger.status(out)
+    if as_json:
+        _print_json(_status_as_json(state))
+        return
     screen = console.stdout()
     table = Table(title=f"{state.name} in {out}", title_justify="left")
     table.add_column("subset")
@@ -261,18 +335,17 @@ def query(
 def export(
     out: Dataset,
     target: Annotated[
-        Path | None, typer.Option("--output", metavar="DIR", help="Default: DIR-nerfstudio.")
+        Path | None, typer.Option("--output", metavar="DIR", help="Default: DIR-FORMAT.")
     ] = None,
-    format_: Annotated[str, typer.Option("--format", help="nerfstudio.")] = "nerfstudio",
+    format_: Annotated[
+        Literal["nerfstudio"], typer.Option("--format", help="What the other tool reads.")
+    ] = "nerfstudio",
 ) -> None:
     """Write a dataset for another tool: a transforms.json per subject and environment."""
-    from synthgen.errors import JobError
     from synthgen.publish.export import nerfstudio
 
-    if format_ != "nerfstudio":
-        raise JobError("--format", "", format_, "choose nerfstudio")
-    destination = target or _beside(out, "-nerfstudio")
-    typer.echo(nerfstudio(out, destination))
+    write = {"nerfstudio": nerfstudio}[format_]
+    typer.echo(write(out, target or _beside(out, f"-{format_}")))
 
 
 @app.command()
@@ -290,13 +363,7 @@ def browse(
     ] = False,
 ) -> None:
     """Open a dataset as a web page: search it, look at every pass, move the light."""
-    from synthgen.errors import JobError
-
-    try:
-        from synthgen.browse.serve import serve
-    except ModuleNotFoundError as error:
-        remedy = f"needs {error.name}; pip install 'synthgen[browse]'"
-        raise JobError("synthgen browse", "", "", remedy) from None
+    from synthgen.browse.serve import serve
 
     def ready(address: str) -> None:
         if open_:
@@ -312,7 +379,52 @@ def _beside(out: Path, ending: str) -> Path:
     return folder.with_name(folder.name + ending)
 
 
-def _check_panoramas(environments: list[EnvironmentSpec], out: Path, file: Path) -> None:
+def _print_json(answer: dict[str, Any]) -> None:
+    import json
+
+    typer.echo(json.dumps(answer, indent=1, ensure_ascii=False))
+
+
+def _status_as_json(state: Status) -> dict[str, Any]:
+    done, total = state.frames
+    return {
+        "name": state.name,
+        "complete": state.complete,
+        "frames": total,
+        "frames_done": done,
+        "workers": state.workers,
+        "frames_per_second": state.frames_per_second,
+        "seconds_left": state.seconds_left,
+        "subsets": [
+            {
+                "name": s.name,
+                "subjects": s.subjects,
+                "done": s.done,
+                "failed": s.failed,
+                "shards": s.shards,
+                "bytes": s.bytes,
+                "frames_per_subject": s.frames_per_subject,
+            }
+            for s in state.subsets
+        ],
+        "running": state.running,
+        "failures": state.failures,
+    }
+
+
+def _remember_costs(out: Path, device: str, threads: int) -> None:
+    """For `plan`, what this run took; a cache that cannot be written spoils no rendering."""
+    import contextlib
+
+    from synthgen.dataset.ledger import StorageError
+    from synthgen.farm import calibration
+    from synthgen.farm.recorded import recorded_costs
+
+    with contextlib.suppress(OSError, StorageError):
+        calibration.save(recorded_costs(out, device, threads))
+
+
+def _check_panoramas(environments: list[EnvironmentSpec], out: Path, file: str) -> None:
     """Read the user's own panoramas, those apart that the dataset holds already."""
     from synthgen.dataset.folder import DatasetFolder
     from synthgen.farm import preflight
