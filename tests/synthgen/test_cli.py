@@ -37,10 +37,7 @@ frames = 3
 bundled = []
 skies = 2
 """
-COMMANDS = [
-    *("jobs", "plan", "render", "status", "verify", "show", "sheet", "rerender", "query"),
-    *("export", "browse"),
-]
+COMMANDS = [c.callback.__name__ for c in cli.app.registered_commands if c.callback]
 
 
 @pytest.fixture(autouse=True)
@@ -154,6 +151,13 @@ def test_a_shipped_job_goes_by_its_name(
     assert done.returncode == 0, done.stderr
     described = json.loads((tmp_path / "out" / "dataset.json").read_text())
     assert described["job"]["name"] == "demo"
+
+
+def test_a_shell_completes_commands(synthgen: Synthgen, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("_COMMAND_COMPLETE", "complete_bash")
+    monkeypatch.setenv("COMP_WORDS", "command re")
+    monkeypatch.setenv("COMP_CWORD", "1")
+    assert synthgen().stdout.split() == ["render", "rerender"]
 
 
 def test_the_version_is_printed(synthgen: Synthgen) -> None:
