@@ -27,17 +27,15 @@ app = typer.Typer(
 Job = Annotated[
     str, typer.Argument(metavar="JOB", help="A job file (.toml), or a name of `synthgen jobs`.")
 ]
-Dataset = Annotated[Path, typer.Argument(metavar="DIR", help="A dataset's folder.")]
+Dataset = Annotated[Path, typer.Argument(metavar="DIR", help="The folder of a dataset.")]
 Key = Annotated[str, typer.Argument(metavar="KEY", help="A shot: [multiview/]s000003_p01.")]
 Overrides = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="Override a value of the job; repeatable."),
 ]
 Device = Annotated[farm.Device, typer.Option(help="What Blender renders on.")]
-Threads = Annotated[int, typer.Option(min=1, help="Threads of each worker.")]
-Subset = Annotated[
-    str | None, typer.Option(help="The subset, where a key occurs in more than one.")
-]
+Threads = Annotated[int, typer.Option(min=1, help="Threads per worker.")]
+Subset = Annotated[str | None, typer.Option(help="The subset, if the key occurs in more than one.")]
 Renderer = Annotated[str, typer.Option(hidden=True)]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON, with the keys listed above.")]
 
@@ -92,20 +90,20 @@ def plan(
     ] = None,
     like: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="Go by what this dataset took, as if rendered here."),
+        typer.Option(metavar="DIR", help="Estimate from what this dataset took to render."),
     ] = None,
     calibrate: Annotated[
-        bool, typer.Option("--calibrate", help="Measure this machine first (some minutes, kept).")
+        bool, typer.Option("--calibrate", help="Measure this machine first (takes minutes; kept).")
     ] = False,
     device: Device = "cpu",
     threads: Threads = 1,
     as_json: AsJson = False,
     renderer: Renderer = DEFAULT_RENDERER,
 ) -> None:
-    """Say what a job amounts to: subjects, shots, frames, bytes, core-hours, machines.
+    """Estimate a job: subjects, shots, frames, bytes, core-hours, machines.
 
-    Hours come from the dataset of --like, else from a calibration of this machine, else from what
-    was rendered on it before, else from reference figures; the answer says which.
+    Hours come from the dataset given by --like, or else from a calibration of this machine, from
+    what was rendered on it before, or from reference figures; the answer says which.
 
     JSON: name, resolution, samples, environments, device, threads, processes, subsets (name, kind,
     subjects, shots, frames, bytes, process_hours, costs: source, exact, dataset, measured),
@@ -144,27 +142,27 @@ def plan(
 @app.command()
 def render(
     job: Job,
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where the dataset goes.")],
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="The folder to fill.")],
     workers: Annotated[
         int | None,
-        typer.Option(min=1, help="Processes; default: cores / threads, or 1 on a GPU."),
+        typer.Option(min=1, help="Number of processes; default: cores / threads, 1 on a GPU."),
     ] = None,
     threads: Threads = 1,
     device: Device = "cpu",
     shard: Annotated[
-        str, typer.Option(metavar="I/N", help="Render the I-th of N slices, 1/N to N/N.")
+        str, typer.Option(metavar="I/N", help="Render slice I of N only, 1/N to N/N.")
     ] = "1/1",
     limit: Annotated[
-        int | None, typer.Option(min=1, help="Render at most that many subjects now.")
+        int | None, typer.Option(min=1, help="Render at most this many subjects now.")
     ] = None,
     overrides: Overrides = None,
     retry_failed: Annotated[
-        bool, typer.Option("--retry-failed", help="Try subjects again that were given up.")
+        bool, typer.Option("--retry-failed", help="Retry subjects that were given up.")
     ] = False,
     time_limit: Annotated[
         float | None,
         typer.Option(
-            min=1.0, metavar="SECONDS", help="A subject's; default: by far more than it needs."
+            min=1.0, metavar="SECONDS", help="Per subject; default: several times its need."
         ),
     ] = None,
     renderer: Renderer = DEFAULT_RENDERER,
@@ -210,7 +208,7 @@ def render(
 
 @app.command()
 def status(out: Dataset, as_json: AsJson = False) -> None:
-    """Say what is done, running and failed; works while rendering.
+    """Show what is done, running and failed; works while rendering.
 
     JSON: name, complete, frames, frames_done, workers, frames_per_second, seconds_left (both null
     while nothing runs), subsets (name, subjects, done, failed, shards, bytes, frames_per_subject),
@@ -250,7 +248,7 @@ def status(out: Dataset, as_json: AsJson = False) -> None:
 
 @app.command()
 def verify(out: Dataset) -> None:
-    """Check every shard against every promise; exit code 1 and a list if anything is off."""
+    """Check every file of a dataset; prints what is wrong and exits with 1 if anything is."""
     from synthgen.publish.verify import verify as check
 
     problems = check(out)
@@ -260,7 +258,7 @@ def verify(out: Dataset) -> None:
     if problems:
         screen.print(f"{len(problems)} problem{'s' if len(problems) > 1 else ''} in {out}")
         raise typer.Exit(1)
-    screen.print(f"{out}: everything is as promised")
+    screen.print(f"{out}: all checks passed")
 
 
 @app.command()
@@ -286,7 +284,7 @@ def sheet(
         Path | None, typer.Option("--output", metavar="FILE", help=".png or .jpg; default DIR.png.")
     ] = None,
     portraits: Annotated[
-        bool, typer.Option("--portraits", help="One picture of each of ten people, nothing else.")
+        bool, typer.Option("--portraits", help="Only one picture of each of ten people.")
     ] = False,
 ) -> None:
     """Draw a contact sheet of a dataset; prints the picture's path."""
@@ -304,7 +302,7 @@ def rerender(
     device: Device = "cpu",
     threads: Threads = 1,
 ) -> None:
-    """Render one shot again from what the dataset records, and report the difference."""
+    """Render one shot again from what the dataset records, and report any difference."""
     from synthgen.farm import preflight
     from synthgen.farm.rerender import rerender as again
 
@@ -319,7 +317,7 @@ def query(
     out: Dataset,
     sql: Annotated[str, typer.Argument(metavar="SQL", help='"SELECT … FROM manifest".')],
 ) -> None:
-    """Ask the manifest in SQL (DuckDB)."""
+    """Query the manifest in SQL (DuckDB)."""
     from rich.table import Table
 
     from synthgen.dataset import manifest
@@ -338,10 +336,10 @@ def export(
         Path | None, typer.Option("--output", metavar="DIR", help="Default: DIR-FORMAT.")
     ] = None,
     format_: Annotated[
-        Literal["nerfstudio"], typer.Option("--format", help="What the other tool reads.")
+        Literal["nerfstudio"], typer.Option("--format", help="The format that tool reads.")
     ] = "nerfstudio",
 ) -> None:
-    """Write a dataset for another tool: a transforms.json per subject and environment."""
+    """Export a dataset to another tool: a transforms.json per subject and environment."""
     from synthgen.publish.export import nerfstudio
 
     write = {"nerfstudio": nerfstudio}[format_]
@@ -352,17 +350,17 @@ def export(
 def browse(
     out: Dataset,
     host: Annotated[
-        str, typer.Option(help="Where to listen; elsewhere than on loopback a token is asked for.")
+        str, typer.Option(help="Address to listen on; other than on loopback, a token is required.")
     ] = "127.0.0.1",
-    port: Annotated[int, typer.Option(min=0, max=65535, help="0 takes a free one.")] = 8350,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="0 picks a free one.")] = 8350,
     cache: Annotated[
-        int, typer.Option(min=0, metavar="MB", help="Megabytes that thumbnails may take.")
+        int, typer.Option(min=0, metavar="MB", help="Megabytes of thumbnails to keep on disk.")
     ] = 256,
     open_: Annotated[
-        bool, typer.Option("--open/--no-open", help="Open the page in the browser.")
+        bool, typer.Option("--open/--no-open", help="Open the page in a browser.")
     ] = False,
 ) -> None:
-    """Open a dataset as a web page: search it, look at every pass, move the light."""
+    """Serve a dataset as a web page: search it, look at every pass, move the light."""
     from synthgen.browse.serve import serve
 
     def ready(address: str) -> None:
@@ -425,7 +423,7 @@ def _remember_costs(out: Path, device: str, threads: int) -> None:
 
 
 def _check_panoramas(environments: list[EnvironmentSpec], out: Path, file: str) -> None:
-    """Read the user's own panoramas, those apart that the dataset holds already."""
+    """Read the user's own panoramas, except those that the dataset holds already."""
     from synthgen.dataset.folder import DatasetFolder
     from synthgen.farm import preflight
 

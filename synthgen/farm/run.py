@@ -1,4 +1,4 @@
-"""One pass over a slice of the plan: hand out subjects, hear workers, commit shards."""
+"""One pass over a slice of the plan: hand out subjects, listen to workers, commit shards."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ if TYPE_CHECKING:
     from synthgen.planning.job import JobSpec
 
 START_LIMIT = 600.0
-# So many subjects failing in a row, or so many attempts before the first success, mean that the
-# set-up is broken, not the subjects.
+# This many subjects failing in a row, or attempts before the first success, mean that the set-up is
+# broken, not the subjects.
 HOPELESS = 12
 
 
 def time_allowed(job: JobSpec, frames: int) -> float:
-    """Seconds after which a subject of so many frames counts as hung: several times its need.
+    """Seconds after which a subject of this many frames counts as hung: several times its need.
 
     One thread takes about 0.5 s per sample of a frame of 256 x 256 pixels.
     """
@@ -73,8 +73,8 @@ class Run(RunState):
             with progress.shown(self) as advance:
                 while True:
                     while sum(s.task is not None for s in self.slots.values()) < self.workers:
-                        # After a failure another subject first: if it fails too, it may be the
-                        # machine, and nobody should use up his attempts on that.
+                        # After a failure, another subject first: if that fails too, the machine
+                        # may be the reason, and no subject should lose its attempts to it.
                         task = None
                         new = limit is None or handed < limit
                         if new and (self.streak or not self.retries):
