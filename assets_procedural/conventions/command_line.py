@@ -10,12 +10,14 @@ from assets_procedural.conventions import console
 from assets_procedural.conventions.errors import UserError, one_line
 
 EXTRAS = {
+    "OpenImageIO": "render",
     "anny": "model",
     "av": "train",
     "bpy": "render",
     "colour": "render",
     "lightning_fabric": "train",
     "safetensors": "train",
+    "scipy": "render",
     "starlette": "browse",
     "tensorboard": "train",
     "torch": "model",
