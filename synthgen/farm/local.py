@@ -52,7 +52,8 @@ def render_job(
     `workers` defaults to the number of cores / `threads`. `limit` bounds the subjects that this
     call renders. A subject may take `time_limit` seconds, by default by far more than it needs
     (`run.time_allowed`); it is tried `ledger.ATTEMPTS` times, and then left out; `retry_failed`
-    gives such subjects another chance.
+    gives such subjects another chance. Workers are spawned, so a script must call this below
+    `if __name__ == "__main__":`.
 
     Raises `JobError` for a wrong slice or too small a pool; `PanoramaError` for a panorama that
     cannot be read; `ModuleNotFoundError` where Blender is not installed; `StorageError` if the

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -86,6 +88,44 @@ def test_steps_arrive_one_by_one_and_closing_ends_the_process(tmp_path: Path) ->
     steps.close()
     with pytest.raises(ProcessLookupError):
         os.kill(int(pids.read_text()), 0)
+
+
+PARENT = """
+import sys
+from synthgen.farm.isolated import isolated
+if __name__ == "__main__":
+    isolated(exec, f"import os, time; open({sys.argv[1]!r}, 'w').write(str(os.getpid())); "
+                   "time.sleep(60)", time_limit=60)
+"""
+
+
+def test_the_process_dies_with_its_parent(tmp_path: Path) -> None:
+    pids, script = tmp_path / "pid", tmp_path / "parent.py"
+    script.write_text(PARENT)
+    parent = subprocess.Popen([sys.executable, str(script), str(pids)])
+    try:
+        assert waited_for(lambda: pids.exists() and pids.read_text())
+    finally:
+        parent.kill()
+        parent.wait()
+    assert waited_for(lambda: not is_alive(int(pids.read_text())))
+
+
+def waited_for(truth: Callable[[], Any]) -> bool:
+    """Whether something becomes true within half a minute."""
+    deadline = time.monotonic() + 30
+    while not truth() and time.monotonic() < deadline:
+        time.sleep(0.05)
+    return bool(truth())
+
+
+def is_alive(pid: int) -> bool:
+    """Whether a process runs; an orphan that nobody has waited for yet does not."""
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    except FileNotFoundError:
+        return False
+    return state not in "ZX"
 
 
 def test_the_limit_is_that_of_a_step(tmp_path: Path) -> None:
