@@ -405,8 +405,19 @@ def _status_as_json(state: Status) -> dict[str, Any]:
             }
             for s in state.subsets
         ],
-        "running": state.running,
-        "failures": state.failures,
+        "running": [
+            {"subset": r.subset, "key": r.key, "seconds": r.seconds} for r in state.running
+        ],
+        "failures": [
+            {
+                "subset": f.subset,
+                "key": f.key,
+                "attempts": f.attempts,
+                "reason": f.reason,
+                "log": f.log,
+            }
+            for f in state.failures
+        ],
     }
 
 
@@ -414,7 +425,7 @@ def _remember_costs(out: Path, device: str, threads: int) -> None:
     """For `plan`, what this run took; a cache that cannot be written spoils no rendering."""
     import contextlib
 
-    from synthgen.dataset.ledger import StorageError
+    from synthgen.dataset.folder import StorageError
     from synthgen.farm import calibration
     from synthgen.farm.recorded import recorded_costs
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import datetime
-from pathlib import Path
 from typing import Any
 
-from synthgen.dataset import ledger, manifest
+from synthgen.dataset import manifest
+from synthgen.dataset.folder import DatasetFolder, Place, StorageError
+from synthgen.dataset.records import read_description
 from synthgen.farm.calibration import Calibration, machine_name
 from synthgen.planning.job import SubsetSpec
 from synthgen.publish import publish
@@ -17,7 +18,7 @@ _LIGHT = "cost_beauty"
 _ONCE = ("cost_build", "cost_subject")
 
 
-def recorded_costs(out: Path | str, device: str, threads: int) -> list[Calibration]:
+def recorded_costs(out: Place, device: str, threads: int) -> list[Calibration]:
     """The costs of every kind of subset that a dataset holds.
 
     A manifest records neither machine, device nor threads: it is taken as rendered on this machine
@@ -25,11 +26,10 @@ def recorded_costs(out: Path | str, device: str, threads: int) -> list[Calibrati
 
     Raises `StorageError` if `out` is no dataset, has no finished subject, or records no seconds.
     """
-    out = Path(out)
-    plan = publish.stored_plan(out)
-    info = ledger.read_dataset_json(out)
+    folder = DatasetFolder(out)
+    plan, renderer = publish.stored_plan(folder), read_description(folder).renderer
     found: dict[str, Calibration] = {}
-    with manifest.connect(out) as connection:
+    with manifest.connect(folder) as connection:
         tables = {
             name
             for (name,) in connection.execute("SELECT view_name FROM duckdb_views()").fetchall()
@@ -41,7 +41,7 @@ def recorded_costs(out: Path | str, device: str, threads: int) -> list[Calibrati
             if figures is not None:
                 found[spec.kind] = Calibration(
                     machine=machine_name(),
-                    renderer=info["renderer"],
+                    renderer=renderer,
                     device=device,
                     threads=threads,
                     kind=spec.kind,
@@ -49,11 +49,11 @@ def recorded_costs(out: Path | str, device: str, threads: int) -> list[Calibrati
                     samples=plan.job.samples,
                     linear=plan.job.image.linear,
                     measured=datetime.date.today().isoformat(),
-                    dataset=str(out.absolute()),
+                    dataset=str(folder.root.absolute()),
                     **figures,
                 )
     if not found:
-        raise ledger.StorageError(f"{out}: its manifest records no {_LIGHT}")
+        raise StorageError(f"{folder}: its manifest records no {_LIGHT}")
     return list(found.values())
 
 

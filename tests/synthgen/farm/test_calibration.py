@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from assets_procedural.conventions.console import size
-from synthgen.dataset import ledger, manifest
+from synthgen.dataset import manifest
+from synthgen.dataset.folder import StorageError
 from synthgen.farm import calibration, measure
 from synthgen.farm.calibration import Calibration
 from synthgen.farm.estimate import estimate
@@ -136,7 +137,7 @@ def test_what_a_dataset_took_is_read_from_its_manifest(small_dataset: Path) -> N
 
 
 def test_a_dataset_without_costs_is_one_line(small_dataset: Path, tmp_path: Path) -> None:
-    with pytest.raises(ledger.StorageError, match="no dataset here"):
+    with pytest.raises(StorageError, match="no dataset here"):
         recorded_costs(tmp_path, "cpu", 1)
 
 

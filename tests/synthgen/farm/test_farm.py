@@ -271,9 +271,9 @@ def test_a_shot_that_cannot_be_rendered_again_is_one_line(
 ):
     monkeypatch.setenv("TROUBLE", json.dumps({"s000001": "raise", "s000002": "hang"}))
     failed = "s00000._p01: rendering it again failed"
-    with pytest.raises(ledger.StorageError, match=f"{failed}: RuntimeError: no hair left$"):
+    with pytest.raises(StorageError, match=f"{failed}: RuntimeError: no hair left$"):
         rerender(whole, "multiview/s000001_p01")
-    with pytest.raises(ledger.StorageError, match=f"{failed}: took more than 2 s$"):
+    with pytest.raises(StorageError, match=f"{failed}: took more than 2 s$"):
         rerender(whole, "multiview/s000002_p01", time_limit=2.0)
 
 
