@@ -53,14 +53,16 @@ def measure(
     for kind, subjects in rounds.items():
         rows = []
         limit = max(time_allowed(plan.job, subject.frames) for subject in subjects)
-        arguments = (plan.job, subjects, renderer, device, threads)
-        try:
-            for row in isolated_steps(_timed, *arguments, time_limit=limit):
-                rows.append(row)
-                done += 1
-                progress(done, total)
-        except IsolatedError as error:
-            raise JobError("--calibrate", "", "", f"the renderer failed: {error}") from None
+        # The folder is ours, so that it goes even if the process is killed.
+        with tempfile.TemporaryDirectory(prefix="synthgen-calibration-") as folder:
+            arguments = (plan.job, subjects, renderer, device, threads, Path(folder))
+            try:
+                for row in isolated_steps(_timed, *arguments, time_limit=limit):
+                    rows.append(row)
+                    done += 1
+                    progress(done, total)
+            except IsolatedError as error:
+                raise JobError("--calibrate", "", "", f"the renderer failed: {error}") from None
         # The first round warms caches up: loading the head, compiling shaders.
         figures = _fit(np.array(rows[1:]))
         results.append(
@@ -116,20 +118,26 @@ def _fit(rows: np.ndarray) -> dict[str, float]:
 
 
 def _timed(
-    job: JobSpec, subjects: Sequence[SubjectPlan], renderer: str, device: str, threads: int
+    job: JobSpec,
+    subjects: Sequence[SubjectPlan],
+    renderer: str,
+    device: str,
+    threads: int,
+    panoramas: Path,
 ) -> Iterator[tuple[float, ...]]:
-    """Yield (shots, frames, seconds, bytes of both) of each subject; runs in its own process."""
-    with tempfile.TemporaryDirectory(prefix="synthgen-calibration-") as folder:
-        panoramas = Path(folder)
-        used = {use.id for subject in subjects for use in subject.environments}
-        write_pool((s for s in pool(job.environments, job.seed) if s.id in used), panoramas)
-        render = load_renderer(renderer)
-        for subject in subjects:
-            start = time.perf_counter()
-            rendered = render(subject, job, panoramas, device, threads)
-            members = [encode(shot) for shot in rendered.shots]
-            seconds = time.perf_counter() - start
-            sizes = [(name[:3], len(data)) for m in members for name, data in m.items()]
-            per_frame = sum(size for prefix, size in sizes if prefix in ("rgb", "hdr"))
-            per_shot = sum(size for _, size in sizes) - per_frame
-            yield len(subject.shots), subject.frames, seconds, per_shot, per_frame
+    """Yield (shots, frames, seconds, bytes of both) of each subject; runs in its own process.
+
+    `panoramas` is an empty folder.
+    """
+    used = {use.id for subject in subjects for use in subject.environments}
+    write_pool((s for s in pool(job.environments, job.seed) if s.id in used), panoramas)
+    render = load_renderer(renderer)
+    for subject in subjects:
+        start = time.perf_counter()
+        rendered = render(subject, job, panoramas, device, threads)
+        members = [encode(shot) for shot in rendered.shots]
+        seconds = time.perf_counter() - start
+        sizes = [(name[:3], len(data)) for m in members for name, data in m.items()]
+        per_frame = sum(size for prefix, size in sizes if prefix in ("rgb", "hdr"))
+        per_shot = sum(size for _, size in sizes) - per_frame
+        yield len(subject.shots), subject.frames, seconds, per_shot, per_frame
