@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from synthgen.farm.worker import redirect
+from synthgen.farm.process import redirect
 
 STEPS = ("build", "pose", "sync", "sample", "denoise", "labels", "develop", "write")
 SAMPLES = (4, 8, 16, 32, 64)

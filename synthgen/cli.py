@@ -3,37 +3,41 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+import synthgen
 from assets_procedural.conventions import console
-from assets_procedural.conventions.command_line import run
+from assets_procedural.conventions.command_line import print_version, run
+from synthgen import farm
 from synthgen.farm import DEFAULT_RENDERER
 
 if TYPE_CHECKING:
     from assets_procedural.light.pool import EnvironmentSpec
+    from synthgen.dataset.ledger import Status
 
 app = typer.Typer(
     help="Render portrait datasets of synthetic people, with exact labels, under many lights.",
     no_args_is_help=True,
-    add_completion=False,
+    rich_markup_mode="markdown",
     pretty_exceptions_enable=False,
 )
 
-Job = Annotated[Path, typer.Argument(metavar="JOB.toml", help="A job file; see render_jobs/.")]
-Dataset = Annotated[Path, typer.Argument(metavar="DIR", help="A dataset's folder.")]
+Job = Annotated[
+    str, typer.Argument(metavar="JOB", help="A job file (.toml), or a name of `synthgen jobs`.")
+]
+Dataset = Annotated[Path, typer.Argument(metavar="DIR", help="The folder of a dataset.")]
 Key = Annotated[str, typer.Argument(metavar="KEY", help="A shot: [multiview/]s000003_p01.")]
 Overrides = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="Override a value of the job; repeatable."),
 ]
-Device = Annotated[str, typer.Option(help="cpu, cuda, optix, hip or metal.")]
-Threads = Annotated[int, typer.Option(min=1, help="Threads of each worker.")]
-Subset = Annotated[
-    str | None, typer.Option(help="The subset, where a key occurs in more than one.")
-]
+Device = Annotated[farm.Device, typer.Option(help="What Blender renders on.")]
+Threads = Annotated[int, typer.Option(min=1, help="Threads per worker.")]
+Subset = Annotated[str | None, typer.Option(help="The subset, if the key occurs in more than one.")]
 Renderer = Annotated[str, typer.Option(hidden=True)]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON, with the keys listed above.")]
 
 
 def main() -> None:
@@ -41,23 +45,72 @@ def main() -> None:
     run(app)
 
 
+@app.callback()
+def program(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version",
+            help="Print the version and exit.",
+            is_eager=True,
+            callback=print_version(f"synthgen {synthgen.__version__}"),
+        ),
+    ] = False,
+) -> None:
+    """Options of the program itself; its help is that of `app`."""
+
+
+@app.command()
+def jobs() -> None:
+    """List the jobs that come with the package, for `plan` and `render` to take by name."""
+    from rich.table import Table
+
+    from synthgen.planning.job import load_job
+    from synthgen.planning.shipped_jobs import purpose, shipped_jobs
+
+    table = Table(box=None, pad_edge=False)
+    table.add_column("job", no_wrap=True)
+    for column in ("people", "frames"):
+        table.add_column(column, justify="right")
+    table.add_column("what for")
+    for name, file in shipped_jobs().items():
+        subsets = load_job(file).subsets.values()
+        people = sum(s.subjects for s in subsets)
+        frames = sum(s.subjects * s.shots * s.environments for s in subsets)
+        table.add_row(name, f"{people:,}", f"{frames:,}", console.escape(purpose(file)))
+    console.stdout().print(table)
+
+
 @app.command()
 def plan(
     job: Job,
     overrides: Overrides = None,
-    calibrate: Annotated[
-        bool, typer.Option("--calibrate", help="Measure this machine first (some minutes, kept).")
-    ] = False,
     within: Annotated[
         str | None, typer.Option(metavar="TIME", help="Deadline such as 12h, 7d or 2w.")
     ] = None,
+    like: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Estimate from what this dataset took to render."),
+    ] = None,
+    calibrate: Annotated[
+        bool, typer.Option("--calibrate", help="Measure this machine first (takes minutes; kept).")
+    ] = False,
     device: Device = "cpu",
     threads: Threads = 1,
+    as_json: AsJson = False,
     renderer: Renderer = DEFAULT_RENDERER,
 ) -> None:
-    """Say what a job amounts to: subjects, shots, frames, bytes, core-hours, machines."""
-    from synthgen.farm import calibration, preflight
-    from synthgen.farm.estimate import estimate, report
+    """Estimate a job: subjects, shots, frames, bytes, core-hours, machines.
+
+    Hours come from the dataset given by --like, or else from a calibration of this machine, from
+    what was rendered on it before, or from reference figures; the answer says which.
+
+    JSON: name, resolution, samples, environments, device, threads, processes, subsets (name, kind,
+    subjects, shots, frames, bytes, process_hours, costs: source, exact, dataset, measured),
+    subjects, shots, frames, bytes, process_hours, elapsed_hours, within_hours, machines. source is
+    named, calibration, rendered or reference.
+    """
+    from synthgen.farm import calibration, estimate, preflight
     from synthgen.planning.job import load_job
 
     spec = load_job(job, overrides or ())
@@ -74,33 +127,42 @@ def plan(
                 progress.update(task, completed=done, total=total)
 
             calibration.save(measure(the_plan, renderer, device, threads, advance))
-    report(estimate(the_plan, device, threads, renderer), hours, console.stdout())
+    named = []
+    if like is not None:
+        from synthgen.farm.recorded import recorded_costs
+
+        named = recorded_costs(like, device, threads)
+    result = estimate.estimate(the_plan, device, threads, renderer, named)
+    if as_json:
+        _print_json(estimate.as_json(result, hours))
+    else:
+        estimate.report(result, hours, console.stdout())
 
 
 @app.command()
 def render(
     job: Job,
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where the dataset goes.")],
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="The folder to fill.")],
     workers: Annotated[
         int | None,
-        typer.Option(min=1, help="Processes; default: cores / threads, or 1 on a GPU."),
+        typer.Option(min=1, help="Number of processes; default: cores / threads, 1 on a GPU."),
     ] = None,
     threads: Threads = 1,
     device: Device = "cpu",
     shard: Annotated[
-        str, typer.Option(metavar="I/N", help="Render the I-th of N slices, 1/N to N/N.")
+        str, typer.Option(metavar="I/N", help="Render slice I of N only, 1/N to N/N.")
     ] = "1/1",
     limit: Annotated[
-        int | None, typer.Option(min=1, help="Render at most that many subjects now.")
+        int | None, typer.Option(min=1, help="Render at most this many subjects now.")
     ] = None,
     overrides: Overrides = None,
     retry_failed: Annotated[
-        bool, typer.Option("--retry-failed", help="Try subjects again that were given up.")
+        bool, typer.Option("--retry-failed", help="Retry subjects that were given up.")
     ] = False,
     time_limit: Annotated[
         float | None,
         typer.Option(
-            min=1.0, metavar="SECONDS", help="A subject's; default: by far more than it needs."
+            min=1.0, metavar="SECONDS", help="Per subject; default: several times its need."
         ),
     ] = None,
     renderer: Renderer = DEFAULT_RENDERER,
@@ -131,6 +193,8 @@ def render(
         retry_failed=retry_failed,
         time_limit=time_limit,
     )
+    if summary.rendered:
+        _remember_costs(out, device, threads)
     screen = console.stdout()
     done = f"{summary.rendered} subjects, {summary.frames} frames"
     took = console.duration(summary.seconds)
@@ -143,13 +207,21 @@ def render(
 
 
 @app.command()
-def status(out: Dataset) -> None:
-    """Say what is done, running and failed; works while rendering."""
+def status(out: Dataset, as_json: AsJson = False) -> None:
+    """Show what is done, running and failed; works while rendering.
+
+    JSON: name, complete, frames, frames_done, workers, frames_per_second, seconds_left (both null
+    while nothing runs), subsets (name, subjects, done, failed, shards, bytes, frames_per_subject),
+    running (subset, key, seconds), failures (subset, key, attempts, reason, log).
+    """
     from rich.table import Table
 
     from synthgen.dataset import ledger
 
     state = ledger.status(out)
+    if as_json:
+        _print_json(_status_as_json(state))
+        return
     screen = console.stdout()
     table = Table(title=f"{state.name} in {out}", title_justify="left")
     table.add_column("subset")
@@ -176,7 +248,7 @@ def status(out: Dataset) -> None:
 
 @app.command()
 def verify(out: Dataset) -> None:
-    """Check every shard against every promise; exit code 1 and a list if anything is off."""
+    """Check every file of a dataset; prints what is wrong and exits with 1 if anything is."""
     from synthgen.publish.verify import verify as check
 
     problems = check(out)
@@ -186,7 +258,7 @@ def verify(out: Dataset) -> None:
     if problems:
         screen.print(f"{len(problems)} problem{'s' if len(problems) > 1 else ''} in {out}")
         raise typer.Exit(1)
-    screen.print(f"{out}: everything is as promised")
+    screen.print(f"{out}: all checks passed")
 
 
 @app.command()
@@ -212,7 +284,7 @@ def sheet(
         Path | None, typer.Option("--output", metavar="FILE", help=".png or .jpg; default DIR.png.")
     ] = None,
     portraits: Annotated[
-        bool, typer.Option("--portraits", help="One picture of each of ten people, nothing else.")
+        bool, typer.Option("--portraits", help="Only one picture of each of ten people.")
     ] = False,
 ) -> None:
     """Draw a contact sheet of a dataset; prints the picture's path."""
@@ -230,7 +302,7 @@ def rerender(
     device: Device = "cpu",
     threads: Threads = 1,
 ) -> None:
-    """Render one shot again from what the dataset records, and report the difference."""
+    """Render one shot again from what the dataset records, and report any difference."""
     from synthgen.farm import preflight
     from synthgen.farm.rerender import rerender as again
 
@@ -245,7 +317,7 @@ def query(
     out: Dataset,
     sql: Annotated[str, typer.Argument(metavar="SQL", help='"SELECT … FROM manifest".')],
 ) -> None:
-    """Ask the manifest in SQL (DuckDB)."""
+    """Query the manifest in SQL (DuckDB)."""
     from rich.table import Table
 
     from synthgen.dataset import manifest
@@ -261,42 +333,35 @@ def query(
 def export(
     out: Dataset,
     target: Annotated[
-        Path | None, typer.Option("--output", metavar="DIR", help="Default: DIR-nerfstudio.")
+        Path | None, typer.Option("--output", metavar="DIR", help="Default: DIR-FORMAT.")
     ] = None,
-    format_: Annotated[str, typer.Option("--format", help="nerfstudio.")] = "nerfstudio",
+    format_: Annotated[
+        Literal["nerfstudio"], typer.Option("--format", help="The format that tool reads.")
+    ] = "nerfstudio",
 ) -> None:
-    """Write a dataset for another tool: a transforms.json per subject and environment."""
-    from synthgen.errors import JobError
+    """Export a dataset to another tool: a transforms.json per subject and environment."""
     from synthgen.publish.export import nerfstudio
 
-    if format_ != "nerfstudio":
-        raise JobError("--format", "", format_, "choose nerfstudio")
-    destination = target or _beside(out, "-nerfstudio")
-    typer.echo(nerfstudio(out, destination))
+    write = {"nerfstudio": nerfstudio}[format_]
+    typer.echo(write(out, target or _beside(out, f"-{format_}")))
 
 
 @app.command()
 def browse(
     out: Dataset,
     host: Annotated[
-        str, typer.Option(help="Where to listen; elsewhere than on loopback a token is asked for.")
+        str, typer.Option(help="Address to listen on; other than on loopback, a token is required.")
     ] = "127.0.0.1",
-    port: Annotated[int, typer.Option(min=0, max=65535, help="0 takes a free one.")] = 8350,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="0 picks a free one.")] = 8350,
     cache: Annotated[
-        int, typer.Option(min=0, metavar="MB", help="Megabytes that thumbnails may take.")
+        int, typer.Option(min=0, metavar="MB", help="Megabytes of thumbnails to keep on disk.")
     ] = 256,
     open_: Annotated[
-        bool, typer.Option("--open/--no-open", help="Open the page in the browser.")
+        bool, typer.Option("--open/--no-open", help="Open the page in a browser.")
     ] = False,
 ) -> None:
-    """Open a dataset as a web page: search it, look at every pass, move the light."""
-    from synthgen.errors import JobError
-
-    try:
-        from synthgen.browse.serve import serve
-    except ModuleNotFoundError as error:
-        remedy = f"needs {error.name}; pip install 'synthgen[browse]'"
-        raise JobError("synthgen browse", "", "", remedy) from None
+    """Serve a dataset as a web page: search it, look at every pass, move the light."""
+    from synthgen.browse.serve import serve
 
     def ready(address: str) -> None:
         if open_:
@@ -312,8 +377,64 @@ def _beside(out: Path, ending: str) -> Path:
     return folder.with_name(folder.name + ending)
 
 
-def _check_panoramas(environments: list[EnvironmentSpec], out: Path, file: Path) -> None:
-    """Read the user's own panoramas, those apart that the dataset holds already."""
+def _print_json(answer: dict[str, Any]) -> None:
+    import json
+
+    typer.echo(json.dumps(answer, indent=1, ensure_ascii=False))
+
+
+def _status_as_json(state: Status) -> dict[str, Any]:
+    done, total = state.frames
+    return {
+        "name": state.name,
+        "complete": state.complete,
+        "frames": total,
+        "frames_done": done,
+        "workers": state.workers,
+        "frames_per_second": state.frames_per_second,
+        "seconds_left": state.seconds_left,
+        "subsets": [
+            {
+                "name": s.name,
+                "subjects": s.subjects,
+                "done": s.done,
+                "failed": s.failed,
+                "shards": s.shards,
+                "bytes": s.bytes,
+                "frames_per_subject": s.frames_per_subject,
+            }
+            for s in state.subsets
+        ],
+        "running": [
+            {"subset": r.subset, "key": r.key, "seconds": r.seconds} for r in state.running
+        ],
+        "failures": [
+            {
+                "subset": f.subset,
+                "key": f.key,
+                "attempts": f.attempts,
+                "reason": f.reason,
+                "log": f.log,
+            }
+            for f in state.failures
+        ],
+    }
+
+
+def _remember_costs(out: Path, device: str, threads: int) -> None:
+    """For `plan`, what this run took; a cache that cannot be written spoils no rendering."""
+    import contextlib
+
+    from synthgen.dataset.folder import StorageError
+    from synthgen.farm import calibration
+    from synthgen.farm.recorded import recorded_costs
+
+    with contextlib.suppress(OSError, StorageError):
+        calibration.save(recorded_costs(out, device, threads))
+
+
+def _check_panoramas(environments: list[EnvironmentSpec], out: Path, file: str) -> None:
+    """Read the user's own panoramas, except those that the dataset holds already."""
     from synthgen.dataset.folder import DatasetFolder
     from synthgen.farm import preflight
 

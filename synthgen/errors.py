@@ -15,7 +15,7 @@ from pydantic import BaseModel, ValidationError
 from assets_procedural.conventions.errors import UserError
 
 
-class JobError(UserError):
+class JobError(UserError, ValueError):
     """Bad input, found before anything is rendered; `str()` is one line for the user.
 
     `file` is the job file, folder or command-line option, `field` the key in it, `value` what it

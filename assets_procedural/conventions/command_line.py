@@ -10,14 +10,18 @@ from assets_procedural.conventions import console
 from assets_procedural.conventions.errors import UserError, one_line
 
 EXTRAS = {
+    "OpenImageIO": "render",
     "anny": "distill",
     "av": "train",
     "bpy": "render",
+    "colour": "render",
     "lightning_fabric": "train",
     "safetensors": "train",
+    "scipy": "render",
     "starlette": "browse",
     "tensorboard": "train",
     "torch": "model",
+    "trimesh": "render",
     "uvicorn": "browse",
 }
 """Modules that the core does without, and the extra that brings each."""
@@ -37,6 +41,17 @@ def run(app: Callable[[], None]) -> None:
         _end(
             f"this needs {error.name}, which is not installed: pip install 'totalediting[{extra}]'"
         )
+
+
+def print_version(line: str) -> Callable[[bool], None]:
+    """What an option --version does once it is given."""
+
+    def answer(given: bool) -> None:
+        if given:
+            print(line)
+            raise SystemExit(0)
+
+    return answer
 
 
 def set_up_logging() -> None:

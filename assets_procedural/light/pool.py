@@ -105,10 +105,11 @@ class EnvironmentSpec(Settings):
 def pool(settings: EnvironmentSettings, seed: int) -> tuple[EnvironmentSpec, ...]:
     """All environments of a job, in a fixed order, each with a unique id.
 
-    The n-th sky or studio depends on `seed` and n alone. Files are found, not read.
+    The n-th sky or studio depends on `seed` and n alone. Files are found, not read; the bundled
+    ones have no `path` where bpy is not installed, so that such a pool can be planned with.
 
     Raises:
-        PanoramaError: the folder is missing or holds no panorama, or bpy is not installed.
+        PanoramaError: the folder is missing or holds no panorama.
     """
     names = tuple(BUNDLED) if settings.bundled == "all" else settings.bundled
     specs = []
@@ -137,9 +138,7 @@ def panorama_of(spec: EnvironmentSpec) -> np.ndarray:
         return sky(SkyParameters(**spec.parameters), PROCEDURAL_HEIGHT)
     if spec.kind == "studio":
         return studio(StudioParameters(**spec.parameters), PROCEDURAL_HEIGHT)
-    if spec.path is None:
-        raise PanoramaError(f"environment {spec.id}: its file is not known on this machine")
-    return load(spec.path, spec.parameters.get("max_width"))
+    return load(_file(spec), spec.parameters.get("max_width"))
 
 
 def write_pool(specs: Iterable[EnvironmentSpec], folder: Path) -> list[Path]:
@@ -168,11 +167,26 @@ def _store(folder: Path, spec: EnvironmentSpec) -> Path:
 
 
 def provenance(spec: EnvironmentSpec) -> dict[str, Any]:
-    """What is recorded about an environment, with the sha256 of its file if it comes from one."""
+    """What is recorded about an environment, with the sha256 of its file if it comes from one.
+
+    Raises:
+        PanoramaError: its file is not on this machine.
+    """
     entry = spec.model_dump(mode="json")
-    if spec.path is not None and spec.path.is_file():
-        entry["sha256"] = hashlib.sha256(spec.path.read_bytes()).hexdigest()
+    if spec.kind in ("bundled", "file") and (path := _file(spec)).is_file():
+        entry["sha256"] = hashlib.sha256(path.read_bytes()).hexdigest()
     return entry
+
+
+def _file(spec: EnvironmentSpec) -> Path:
+    if spec.path is not None:
+        return spec.path
+    if spec.kind == "bundled":
+        raise PanoramaError(
+            "the bundled panoramas are part of bpy, which is not installed here: "
+            "pip install 'totalediting[render]', or set environments.bundled = []"
+        )
+    raise PanoramaError(f"environment {spec.id}: its file is not known on this machine")
 
 
 def _header(spec: EnvironmentSpec) -> dict[str, Any]:
@@ -187,26 +201,23 @@ def _same_header(path: Path, header: dict[str, Any]) -> bool:
     return all(found.get(key) == text for key, text in encode_header(header).items())
 
 
-def _bundled_folder() -> Path:
-    """Folder of the bpy wheel's panoramas, found without importing bpy."""
+def _bundled_folder() -> Path | None:
+    """Folder of the bpy wheel's panoramas, found without importing bpy; None without bpy."""
     module = importlib.util.find_spec("bpy")
     for root in (module.submodule_search_locations or []) if module else []:
         for folder in sorted(Path(root).glob("*/datafiles/studiolights/world")):
             return folder
-    raise PanoramaError(
-        "the bundled panoramas are part of the bpy package, which is not installed here; "
-        "pip install 'totalediting[render]', or set environments.bundled = []"
-    )
+    return None
 
 
-def _bundled(name: str, folder: Path) -> EnvironmentSpec:
+def _bundled(name: str, folder: Path | None) -> EnvironmentSpec:
     return EnvironmentSpec(
         id=name,
         kind="bundled",
         source=BUNDLED[name],
         author="Greg Zaal (Poly Haven)",
         licence="CC0-1.0",
-        path=folder / f"{name}.exr",
+        path=None if folder is None else folder / f"{name}.exr",
     )
 
 

@@ -9,11 +9,12 @@ import stat
 from pathlib import Path
 from typing import Any
 
+from assets_procedural.conventions.errors import UserError
 from synthgen.dataset.folder import NAME, DatasetFolder, Place, StorageError, brief, not_a_name
 from synthgen.dataset.records import description_json
 
 
-class Refused(Exception):
+class Refused(UserError):
     """A request that is refused: `status` is the HTTP status, `str()` one line for the user."""
 
     def __init__(self, reason: str, status: int = 404) -> None:

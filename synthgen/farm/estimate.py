@@ -1,13 +1,16 @@
-"""What a job amounts to: counts and bytes from its plan, core-hours from a calibration."""
+"""What a job amounts to: counts and bytes from its plan, hours from what rendering costs."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
-from assets_procedural.conventions.console import size
+from assets_procedural.conventions.console import escape, size
 from synthgen.farm import calibration
+from synthgen.farm.calibration import Calibration, Found
 from synthgen.planning.plan import Plan, subject_bytes
 
 if TYPE_CHECKING:
@@ -16,8 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class SubsetEstimate:
-    """One subset. `hours` of one process (of `threads` threads) are None if nothing was measured;
-    `exact` says whether resolution, samples and threads were measured as they are."""
+    """One subset. `hours` of one process (of `threads` threads), reckoned with `found`."""
 
     name: str
     kind: str
@@ -25,8 +27,8 @@ class SubsetEstimate:
     shots: int
     frames: int
     bytes: float
-    hours: float | None
-    exact: bool
+    hours: float
+    found: Found
 
 
 @dataclass(frozen=True)
@@ -48,25 +50,37 @@ class Estimate:
         return max(1, self.cores // self.threads) if self.device == "cpu" else 1
 
     @property
-    def hours(self) -> float | None:
-        """Hours of one process for everything, or None if a kind was never measured."""
-        parts = [s.hours for s in self.subsets]
-        return None if None in parts else sum(h for h in parts if h is not None)
+    def hours(self) -> float:
+        """Hours of one process for everything."""
+        return sum(s.hours for s in self.subsets)
 
-    def machines(self, within_hours: float) -> int | None:
+    @property
+    def elapsed_hours(self) -> float:
+        """Hours that this machine takes."""
+        return self.hours / self.processes
+
+    def machines(self, within_hours: float) -> int:
         """Machines like this one that finish in time."""
-        if self.hours is None:
-            return None
-        return max(1, math.ceil(self.hours / (self.processes * within_hours)))
+        return max(1, math.ceil(self.elapsed_hours / within_hours))
+
+    def total(self, what: str) -> float:
+        """Sum of a figure over all subsets."""
+        return sum(getattr(s, what) for s in self.subsets)
 
 
-def estimate(plan: Plan, device: str, threads: int, renderer: str) -> Estimate:
-    """Estimate a plan by what was measured on this machine (see `synthgen.farm.calibration`)."""
+def estimate(
+    plan: Plan, device: str, threads: int, renderer: str, named: Sequence[Calibration] = ()
+) -> Estimate:
+    """Estimate a plan by the best figures there are (see `calibration.find`).
+
+    `named` are costs of a dataset that is to be taken (`synthgen.farm.recorded`).
+    """
     job = plan.job
     subsets = []
     for name, spec in job.subsets.items():
-        found = calibration.find(job, spec.kind, device, threads, renderer)
-        size = found[0].bytes(spec) if found else subject_bytes(job, spec)
+        found = calibration.find(job, spec.kind, device, threads, renderer, named)
+        measured = found.source != "reference"
+        size = found.costs.bytes(spec) if measured else subject_bytes(job, spec)
         subsets.append(
             SubsetEstimate(
                 name=name,
@@ -75,8 +89,8 @@ def estimate(plan: Plan, device: str, threads: int, renderer: str) -> Estimate:
                 shots=spec.subjects * spec.shots,
                 frames=spec.subjects * spec.shots * spec.environments,
                 bytes=spec.subjects * size,
-                hours=found[0].seconds(spec) * spec.subjects / 3600 if found else None,
-                exact=bool(found and found[1]),
+                hours=found.costs.seconds(spec) * spec.subjects / 3600,
+                found=found,
             )
         )
     return Estimate(
@@ -89,6 +103,45 @@ def estimate(plan: Plan, device: str, threads: int, renderer: str) -> Estimate:
         threads=threads,
         cores=calibration.cores(),
     )
+
+
+def as_json(result: Estimate, within_hours: float | None) -> dict[str, Any]:
+    """An estimate as `synthgen plan --json` prints it, which lists the keys in its help."""
+    return {
+        "name": result.name,
+        "resolution": result.resolution,
+        "samples": result.samples,
+        "environments": result.environments,
+        "device": result.device,
+        "threads": result.threads,
+        "processes": result.processes,
+        "subsets": [
+            {
+                "name": s.name,
+                "kind": s.kind,
+                "subjects": s.subjects,
+                "shots": s.shots,
+                "frames": s.frames,
+                "bytes": round(s.bytes),
+                "process_hours": s.hours,
+                "costs": {
+                    "source": s.found.source,
+                    "exact": s.found.exact,
+                    "dataset": s.found.measured.dataset or None,
+                    "measured": s.found.measured.measured,
+                },
+            }
+            for s in result.subsets
+        ],
+        "subjects": result.total("subjects"),
+        "shots": result.total("shots"),
+        "frames": result.total("frames"),
+        "bytes": round(result.total("bytes")),
+        "process_hours": result.hours,
+        "elapsed_hours": result.elapsed_hours,
+        "within_hours": within_hours,
+        "machines": None if within_hours is None else result.machines(within_hours),
+    }
 
 
 def report(result: Estimate, within_hours: float | None, console: Console) -> None:
@@ -105,38 +158,60 @@ def report(result: Estimate, within_hours: float | None, console: Console) -> No
     for column in ("subjects", "shots", "frames", "size", unit):
         table.add_column(column, justify="right")
     cores_each = result.threads if result.device == "cpu" else 1
-    total = SubsetEstimate(
-        "total",
-        "",
-        sum(s.subjects for s in result.subsets),
-        sum(s.shots for s in result.subsets),
-        sum(s.frames for s in result.subsets),
-        sum(s.bytes for s in result.subsets),
-        result.hours,
-        all(s.exact for s in result.subsets),
-    )
-    for s in (*result.subsets, total):
-        if s is total:
+
+    rows = {s.name: partial(getattr, s) for s in result.subsets} | {"total": result.total}
+    for name, figure in rows.items():
+        if name == "total":
             table.add_section()
-        hours = "not measured" if s.hours is None else f"{s.hours * cores_each:,.2f}"
-        table.add_row(
-            s.name, f"{s.subjects:,}", f"{s.shots:,}", f"{s.frames:,}", size(s.bytes), hours
-        )
+        counts = [f"{figure(what):,}" for what in ("subjects", "shots", "frames")]
+        hours = f"{figure('hours') * cores_each:,.2f}"
+        table.add_row(name, *counts, size(figure("bytes")), hours)
     console.print(table)
-    if result.hours is None:
-        console.print("Add --calibrate to measure what this takes on this machine.")
-        return
-    if not total.exact:
-        console.print("Carried over from another resolution, samples or threads: --calibrate.")
-    days = result.hours / result.processes / 24
-    how = f"{result.processes} processes x {result.threads} threads, {result.device}"
-    console.print(f"This machine ({how}) needs {_days(days)}.")
+    for line in _sources(result):
+        console.print(escape(line), soft_wrap=True)
+    how = f"{_count(result.processes, 'process', 'processes')} of "
+    how += f"{_count(result.threads, 'thread', 'threads')}, {result.device}"
+    console.print(f"This machine ({how}) needs {_days(result.elapsed_hours / 24)}.")
     if within_hours is not None:
         count = result.machines(within_hours)
-        plural = "machine" if count == 1 else "machines"
-        console.print(f"Within {_days(within_hours / 24)}: {count:,} {plural} like this one.")
-        if count is not None and count > 1:
+        machines = _count(count, "machine", "machines")
+        console.print(f"Within {_days(within_hours / 24)}: {machines} like this one.")
+        if count > 1:
             console.print(f"Give each its slice: --shard 1/{count} to {count}/{count}.")
+
+
+def _sources(result: Estimate) -> list[str]:
+    """Where the hours come from: a line for each source, naming subsets where there are several."""
+    by_line: dict[str, list[str]] = {}
+    for s in result.subsets:
+        by_line.setdefault(_source(s.found, result.device), []).append(s.name)
+    if len(by_line) == 1:
+        return list(by_line)
+    return [f"{', '.join(names)}: {line}" for line, names in by_line.items()]
+
+
+def _source(found: Found, device: str) -> str:
+    measured = found.measured
+    if found.source == "reference":
+        measure = "add --calibrate to measure this machine, or --like DIR to go by a dataset"
+        if device == "cpu":
+            return f"Hours are reference figures, measured on {measured.machine}: {measure}."
+        return f"Hours are an upper bound, measured without a GPU on {measured.machine}: {measure}."
+    said = {
+        "named": f"Hours are what {measured.dataset} took",
+        "calibration": f"Hours as calibrated on this machine on {measured.measured}",
+        "rendered": f"Hours are what {measured.dataset} took on this machine ({measured.measured})",
+    }[found.source]
+    if found.exact:
+        return said + "."
+    return (
+        f"{said}, carried over from {measured.resolution} x {measured.resolution}, "
+        f"{measured.samples} samples, {_count(measured.threads, 'thread', 'threads')}."
+    )
+
+
+def _count(number: int, one: str, many: str) -> str:
+    return f"{number:,} {one if number == 1 else many}"
 
 
 def _days(days: float) -> str:

@@ -19,9 +19,10 @@ from assets_procedural.conventions import console
 from assets_procedural.light.pool import pool, provenance, write_pool
 from synthgen.dataset import ledger
 from synthgen.dataset.folder import DatasetFolder, Place, StorageError
-from synthgen.farm import DEFAULT_RENDERER, calibration
+from synthgen.errors import JobError
+from synthgen.farm import DEFAULT_RENDERER, Device, calibration, preflight
 from synthgen.farm.commit import clean_shared
-from synthgen.farm.run import Run, Summary, full
+from synthgen.farm.run import Run, Summary, disk_is_full
 from synthgen.farm.worker import Orders, is_disk_full
 from synthgen.planning.plan import Plan
 from synthgen.publish import publish
@@ -38,7 +39,7 @@ def render_job(
     out: Place,
     workers: int | None = None,
     threads: int = 1,
-    device: str = "cpu",
+    device: Device = "cpu",
     shard: tuple[int, int] = (1, 1),
     limit: int | None = None,
     renderer: str = DEFAULT_RENDERER,
@@ -51,21 +52,24 @@ def render_job(
     `workers` defaults to the number of cores / `threads`. `limit` bounds the subjects that this
     call renders. A subject may take `time_limit` seconds, by default by far more than it needs
     (`run.time_allowed`); it is tried `ledger.ATTEMPTS` times, and then left out; `retry_failed`
-    gives such subjects another chance.
+    gives such subjects another chance. Workers are spawned, so a script must call this below
+    `if __name__ == "__main__":`.
 
-    Raises `StorageError` with one line if the folder cannot be used for this job (see
-    `publish.check`; it is left untouched), the slice is being rendered already, the disk is full,
-    or the renderer cannot start; `KeyboardInterrupt` after Ctrl-C or SIGTERM, with everything put
-    away.
+    Raises `JobError` for a wrong slice or too small a pool; `PanoramaError` for a panorama that
+    cannot be read; `ModuleNotFoundError` where Blender is not installed; `StorageError` if the
+    folder cannot be used for this job (see `publish.check`; it is left untouched), the slice is
+    being rendered already, the disk is full, or the renderer cannot start; `KeyboardInterrupt`
+    after Ctrl-C or SIGTERM, with everything put away.
     """
     index, count = shard
     if not 1 <= index <= count:
-        raise ValueError(f"slice {index}/{count}: must be i/n with 1 <= i <= n")
+        raise JobError("shard", "", f"{index}/{count}", "i of (i, n) runs from 1 to n")
+    preflight.check_renderer(renderer)
     folder = DatasetFolder(out)
     workers = workers or max(1, calibration.cores() // threads)
     specs = pool(job.environments, job.seed)
     the_plan = Plan(job, [spec.id for spec in specs])
-    with _interruptible(), _one_line_iffull(folder):
+    with _interruptible(), _telling_of_a_full_disk(folder):
         origins = [provenance(spec) for spec in specs]
         publish.check(folder, the_plan, origins, renderer)
         with ledger.slice_lock(folder, shard):
@@ -76,7 +80,7 @@ def render_job(
             folder.logs.mkdir(parents=True, exist_ok=True)
             orders = Orders(job, folder.root, renderer, device, threads, Path())
             run = Run(the_plan, orders, shard, workers, time_limit, subjects_per_worker)
-            summary = run.go(limit, retry_failed)
+            summary = run.render(limit, retry_failed)
             with ledger.shared_files_lock(folder):
                 summary.complete = publish.complete(folder)
             if summary.complete and not ledger.failures(folder):
@@ -94,12 +98,12 @@ def _write_panoramas(folder: DatasetFolder, specs: Sequence[EnvironmentSpec]) ->
 
 
 @contextlib.contextmanager
-def _one_line_iffull(folder: DatasetFolder) -> Iterator[None]:
+def _telling_of_a_full_disk(folder: DatasetFolder) -> Iterator[None]:
     try:
         yield
     except OSError as error:
         if is_disk_full(error):
-            raise StorageError(full(folder.root)) from None
+            raise StorageError(disk_is_full(folder.root)) from None
         raise
 
 

@@ -7,27 +7,23 @@ environments, for each kind of subset apart: a video shot moves the head, a view
 from __future__ import annotations
 
 import datetime
-import multiprocessing
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from assets_procedural.light.pool import pool, write_pool
 from synthgen.dataset.shards import encode
 from synthgen.errors import JobError
+from synthgen.farm import preflight
 from synthgen.farm.calibration import Calibration, Kind, machine_name
-from synthgen.farm.process import start
+from synthgen.farm.isolated import IsolatedError, isolated_steps
 from synthgen.farm.run import time_allowed
-from synthgen.farm.worker import end_process, load_renderer, redirect
+from synthgen.farm.worker import load_renderer
 from synthgen.planning.job import JobSpec, SubsetSpec
 from synthgen.planning.plan import Plan, SubjectPlan
-
-if TYPE_CHECKING:
-    from multiprocessing.connection import Connection
 
 SUBJECTS = 2
 """Subjects that are measured per kind."""
@@ -49,16 +45,24 @@ def measure(
 
     Raises `JobError` if the renderer fails.
     """
+    preflight.check_renderer(renderer)
     kinds: list[Kind] = sorted({s.kind for s in plan.job.subsets.values()})
     rounds: dict[Kind, list[SubjectPlan]] = {kind: _rounds(plan, kind) for kind in kinds}
     total, done, results = sum(len(r) for r in rounds.values()), 0, []
     progress(done, total)
     for kind, subjects in rounds.items():
         rows = []
-        for row in _in_process(plan.job, subjects, renderer, device, threads):
-            rows.append(row)
-            done += 1
-            progress(done, total)
+        limit = max(time_allowed(plan.job, subject.frames) for subject in subjects)
+        # The folder is ours, so that it goes even if the process is killed.
+        with tempfile.TemporaryDirectory(prefix="synthgen-calibration-") as folder:
+            arguments = (plan.job, subjects, renderer, device, threads, Path(folder))
+            try:
+                for row in isolated_steps(_timed, *arguments, time_limit=limit):
+                    rows.append(row)
+                    done += 1
+                    progress(done, total)
+            except IsolatedError as error:
+                raise JobError("--calibrate", "", "", f"the renderer failed: {error}") from None
         # The first round warms caches up: loading the head, compiling shaders.
         figures = _fit(np.array(rows[1:]))
         results.append(
@@ -72,6 +76,7 @@ def measure(
                 samples=plan.job.samples,
                 linear=plan.job.image.linear,
                 measured=datetime.date.today().isoformat(),
+                dataset="",
                 **figures,
             )
         )
@@ -112,79 +117,27 @@ def _fit(rows: np.ndarray) -> dict[str, float]:
     }
 
 
-def _in_process(
-    job: JobSpec, subjects: Sequence[SubjectPlan], renderer: str, device: str, threads: int
-) -> Iterator[tuple[float, ...]]:
-    """Yield a row per subject from a spawned process, which prints to a log of its own."""
-    receiver, sender = multiprocessing.get_context("spawn").Pipe(duplex=False)
-    with tempfile.TemporaryDirectory(prefix="synthgen-calibration-") as folder:
-        log = Path(folder) / "log.txt"
-        arguments = (
-            job.model_dump_json(),
-            [s.model_dump_json() for s in subjects],
-            renderer,
-            device,
-            threads,
-            folder,
-            sender,
-        )
-        process = start(_measure, *arguments)
-        sender.close()
-        try:
-            for subject in subjects:
-                allowed = time_allowed(job, subject.frames)
-                if not receiver.poll(allowed):
-                    raise _failure(f"the renderer took more than {allowed:.0f} s for a subject")
-                try:
-                    row = receiver.recv()
-                except EOFError:
-                    raise _failure(f"the renderer died: {_last_line(log)}") from None
-                if isinstance(row, str):
-                    raise _failure(f"the renderer failed: {row}")
-                yield row
-        finally:
-            process.kill()
-            process.join()
-
-
-def _measure(
-    job_json: str,
-    subjects_json: Sequence[str],
+def _timed(
+    job: JobSpec,
+    subjects: Sequence[SubjectPlan],
     renderer: str,
     device: str,
     threads: int,
-    folder: str,
-    sender: Connection,
-) -> None:
-    """Body of the measuring process: sends (shots, frames, seconds, bytes, bytes) per subject."""
-    redirect(Path(folder) / "log.txt")
-    try:
-        job = JobSpec.model_validate_json(job_json)
-        subjects = [SubjectPlan.model_validate_json(text) for text in subjects_json]
-        panoramas = Path(folder) / "environments"
-        used = {use.id for subject in subjects for use in subject.environments}
-        write_pool((s for s in pool(job.environments, job.seed) if s.id in used), panoramas)
-        render = load_renderer(renderer)
-        for subject in subjects:
-            start = time.perf_counter()
-            rendered = render(subject, job, panoramas, device, threads)
-            members = [encode(shot) for shot in rendered.shots]
-            seconds = time.perf_counter() - start
-            sizes = [(name[:3], len(data)) for m in members for name, data in m.items()]
-            per_frame = sum(size for prefix, size in sizes if prefix in ("rgb", "hdr"))
-            per_shot = sum(size for _, size in sizes) - per_frame
-            sender.send((len(subject.shots), subject.frames, seconds, per_shot, per_frame))
-    except Exception as error:
-        sender.send(f"{type(error).__name__}: {error}".splitlines()[0])
-    finally:
-        sender.close()
-        end_process(0)
+    panoramas: Path,
+) -> Iterator[tuple[float, ...]]:
+    """Yield (shots, frames, seconds, bytes of both) of each subject; runs in its own process.
 
-
-def _failure(reason: str) -> JobError:
-    return JobError("--calibrate", "", "", reason)
-
-
-def _last_line(log: Path) -> str:
-    lines = log.read_text(errors="replace").strip().splitlines() if log.exists() else []
-    return lines[-1] if lines else "it said nothing"
+    `panoramas` is an empty folder.
+    """
+    used = {use.id for subject in subjects for use in subject.environments}
+    write_pool((s for s in pool(job.environments, job.seed) if s.id in used), panoramas)
+    render = load_renderer(renderer)
+    for subject in subjects:
+        start = time.perf_counter()
+        rendered = render(subject, job, panoramas, device, threads)
+        members = [encode(shot) for shot in rendered.shots]
+        seconds = time.perf_counter() - start
+        sizes = [(name[:3], len(data)) for m in members for name, data in m.items()]
+        per_frame = sum(size for prefix, size in sizes if prefix in ("rgb", "hdr"))
+        per_shot = sum(size for _, size in sizes) - per_frame
+        yield len(subject.shots), subject.frames, seconds, per_shot, per_frame

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
+import importlib.util
 import itertools
 import os
 import re
 import shutil
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -16,10 +15,10 @@ from assets_procedural.light.pool import EnvironmentSpec, pool
 from synthgen.dataset import ledger
 from synthgen.dataset.folder import DatasetFolder
 from synthgen.errors import JobError
+from synthgen.farm import DEFAULT_RENDERER
+from synthgen.farm.isolated import IsolatedError, isolated
 from synthgen.planning.job import JobSpec
 from synthgen.planning.plan import Plan, subject_bytes, subject_key
-
-DEVICES = ("cpu", "cuda", "optix", "hip", "metal")
 
 
 def make_plan(job: JobSpec, file: str | Path) -> tuple[Plan, list[EnvironmentSpec]]:
@@ -33,15 +32,10 @@ def make_plan(job: JobSpec, file: str | Path) -> tuple[Plan, list[EnvironmentSpe
         raise _panorama_error(error, job.environments.folder, file) from None
     except OSError as error:
         raise _unreadable(error, job.environments.folder, file) from None
-    for name, subset in job.subsets.items():
-        if subset.environments > len(specs):
-            raise JobError(
-                file,
-                f"subsets.{name}.environments",
-                str(subset.environments),
-                f"the pool has only {len(specs)}; lower it, or add to [environments]",
-            )
-    return Plan(job, [spec.id for spec in specs]), specs
+    try:
+        return Plan(job, [spec.id for spec in specs]), specs
+    except JobError as error:
+        raise JobError(file, error.field, error.value, error.remedy) from None
 
 
 def check_panorama(spec: EnvironmentSpec, file: str | Path) -> None:
@@ -104,26 +98,32 @@ def _missing(out: Path, job: JobSpec, slice_: tuple[int, int]) -> Iterator[int]:
                     yield size
 
 
+def check_renderer(renderer: str) -> None:
+    """Raises `ModuleNotFoundError` that names bpy if `renderer` takes it and it is not installed.
+
+    Each worker would find out for itself, after the dataset's folder was begun.
+    """
+    if renderer == DEFAULT_RENDERER and importlib.util.find_spec("bpy") is None:
+        raise ModuleNotFoundError("No module named 'bpy'", name="bpy")
+
+
 def check_device(device: str) -> None:
     """`device` must be one that Blender sees here. Starts Blender in a process unless it is cpu."""
-    if device not in DEVICES:
-        raise JobError("--device", "", device, "choose " + ", ".join(DEVICES))
     if device == "cpu":
         return
-    # os._exit, because Blender can hang at the interpreter's exit.
-    code = (
-        "import os\nfrom synthgen.stage.scene import choose_device\n"
-        f"choose_device({device!r})\nprint('found', flush=True)\nos._exit(0)"
-    )
+    check_renderer(DEFAULT_RENDERER)
     try:
-        result = subprocess.run(
-            [sys.executable, "-c", code], capture_output=True, text=True, timeout=180, check=False
-        )
-    except subprocess.TimeoutExpired:
-        raise JobError("--device", "", device, "Blender did not answer in 180 s") from None
-    if not result.stdout.endswith("found\n"):
-        lines = result.stderr.strip().splitlines() or ["Blender did not start"]
-        raise JobError("--device", "", device, lines[-1].removeprefix("RuntimeError: "))
+        isolated(_choose_device, device, time_limit=180)
+    except IsolatedError as error:
+        reason = str(error).removeprefix("RuntimeError: ")
+        raise JobError("--device", "", device, reason) from None
+
+
+def _choose_device(device: str) -> None:
+    """Runs in its own process."""
+    from synthgen.stage.scene import choose_device
+
+    choose_device(device)
 
 
 def parse_shard(text: str) -> tuple[int, int]:

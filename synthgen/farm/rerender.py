@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import itertools
 import json
-import pickle
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,12 +11,14 @@ from typing import Any
 import numpy as np
 
 from synthgen.dataset.codecs import encode_json
-from synthgen.dataset.folder import DatasetFolder, Place, StorageError
+from synthgen.dataset.folder import Place, StorageError
 from synthgen.dataset.reading import open_dataset
 from synthgen.dataset.shot import Shot
-from synthgen.farm.process import start
+from synthgen.farm import preflight
+from synthgen.farm.isolated import IsolatedError, isolated
 from synthgen.farm.run import time_allowed
-from synthgen.farm.worker import Orders, end_process, load_renderer, reason_of, redirect
+from synthgen.farm.worker import load_renderer
+from synthgen.planning.job import JobSpec
 from synthgen.planning.plan import SubjectPlan
 from synthgen.publish import publish
 
@@ -72,22 +71,14 @@ def rerender(
         raise StorageError(f"{out}: the recorded job has no shot {key}")
     subject = subject.model_copy(update={"shots": shots})
     renderer = dataset.description.renderer
-    with tempfile.TemporaryDirectory() as folder:
-        orders = Orders(
-            plan.job, dataset.folder.root, renderer, device, threads, Path(folder) / "log"
-        )
-        target = Path(folder) / "shot"
-        process = start(_render, orders, subject, target)
-        process.join(time_allowed(plan.job, subject.frames) if time_limit is None else time_limit)
-        if process.is_alive():
-            process.kill()
-            process.join()
-        if not target.exists():
-            lines = [""]
-            with contextlib.suppress(OSError):
-                lines = (orders.log.read_text(errors="replace").strip() or " ").splitlines()
-            raise StorageError(f"{key}: rendering it again failed: {lines[-1][:200]}")
-        again: Shot = pickle.loads(target.read_bytes())
+    preflight.check_renderer(renderer)
+    if time_limit is None:
+        time_limit = time_allowed(plan.job, subject.frames)
+    arguments = (renderer, plan.job, subject, dataset.folder.environments, device, threads)
+    try:
+        again = isolated(_render, *arguments, time_limit=time_limit)
+    except IsolatedError as error:
+        raise StorageError(f"{key}: rendering it again failed: {error}") from None
     return compare(stored, again)
 
 
@@ -137,18 +128,13 @@ def _numbers(value: Any) -> np.ndarray:
     return np.array([value], float) if isinstance(value, int | float) else np.empty(0)
 
 
-def _render(orders: Orders, subject: SubjectPlan, target: Path) -> None:
-    """Runs in its own process."""
-    redirect(orders.log)
-    folder = DatasetFolder(orders.out)
-    try:
-        rendered = load_renderer(orders.renderer)(
-            subject, orders.job, folder.environments, orders.device, orders.threads
-        )
-        temporary = target.with_suffix(".tmp")
-        temporary.write_bytes(pickle.dumps(rendered.shots[0]))
-        temporary.replace(target)
-    except Exception as error:
-        print(reason_of(error))
-        end_process(1)
-    end_process(0)
+def _render(
+    renderer: str,
+    job: JobSpec,
+    subject: SubjectPlan,
+    environments: Path,
+    device: str,
+    threads: int,
+) -> Shot:
+    """The one shot of a subject; runs in its own process."""
+    return load_renderer(renderer)(subject, job, environments, device, threads).shots[0]

@@ -1,10 +1,8 @@
-"""One pass over a slice of the plan: hand out subjects, hear workers, commit shards."""
+"""One pass over a slice of the plan: hand out subjects, listen to workers, commit shards."""
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
-import signal
 import time
 from collections import deque
 from collections.abc import Iterator
@@ -16,9 +14,10 @@ from synthgen.dataset import ledger
 from synthgen.dataset.folder import DatasetFolder, StorageError
 from synthgen.farm import progress
 from synthgen.farm.commit import clean_temporary, commit_shard, unpack_shard
+from synthgen.farm.process import reason_of_death
 from synthgen.farm.slot import Slot, Task
 from synthgen.farm.state import RunState, Summary
-from synthgen.farm.worker import Orders
+from synthgen.farm.worker import Broken, DiskFull, Done, Failed, Orders, Ready
 from synthgen.planning.plan import Plan, ShardPlan, subject_key
 from synthgen.publish import publish
 
@@ -26,13 +25,13 @@ if TYPE_CHECKING:
     from synthgen.planning.job import JobSpec
 
 START_LIMIT = 600.0
-# So many subjects failing in a row, or so many attempts before the first success, mean that the
-# set-up is broken, not the subjects.
+# This many subjects failing in a row, or attempts before the first success, mean that the set-up is
+# broken, not the subjects.
 HOPELESS = 12
 
 
 def time_allowed(job: JobSpec, frames: int) -> float:
-    """Seconds after which a subject of so many frames counts as hung: several times its need.
+    """Seconds after which a subject of this many frames counts as hung: several times its need.
 
     One thread takes about 0.5 s per sample of a frame of 256 x 256 pixels.
     """
@@ -63,7 +62,7 @@ class Run(RunState):
         self.missing: dict[str, set[int]] = {}  # open shard -> indices still to render
         self.retries: deque[Task] = deque()
 
-    def go(self, limit: int | None, retry_failed: bool) -> Summary:
+    def render(self, limit: int | None, retry_failed: bool) -> Summary:
         """Render until nothing is left or `limit` subjects are rendered."""
         clean_temporary(self.folder, self.shards)
         if retry_failed:
@@ -74,8 +73,8 @@ class Run(RunState):
             with progress.shown(self) as advance:
                 while True:
                     while sum(s.task is not None for s in self.slots.values()) < self.workers:
-                        # After a failure another subject first: if it fails too, it may be the
-                        # machine, and nobody should use up his attempts on that.
+                        # After a failure, another subject first: if that fails too, the machine
+                        # may be the reason, and no subject should lose its attempts to it.
                         task = None
                         new = limit is None or handed < limit
                         if new and (self.streak or not self.retries):
@@ -180,35 +179,32 @@ class Run(RunState):
                 self._lose(slot, f"hung: killed after {now - slot.since:.0f} s (--time-limit)")
 
     def _listen(self, slot: Slot) -> None:
-        try:
-            message = slot.pipe.recv() if slot.pipe.poll() else None
-        except (EOFError, OSError):
-            message = None
-        if message is None:
-            self._lose_dead(slot)
-        elif message[0] == "ready":
-            slot.ready, slot.since = True, time.monotonic()
-        elif message[0] == "broken":
-            raise StorageError(
-                f"{self.orders.renderer}: cannot start: {message[1]} (log: {slot.log})"
-            )
-        elif message[0] == "full":
-            raise StorageError(f"{full(message[1])} ({message[2]}; log: {slot.log})")
-        elif message[0] == "failed":
-            # Blender may be left in any state by an exception: go on with a fresh process.
-            self._lose(slot, message[1])
-        elif message[0] == "done" and slot.task is not None:
-            task, slot.task = slot.task, None
-            slot.served += 1
-            self.streak.clear()
-            self.summary.rendered += 1
-            self.summary.frames += task.subject.frames
-            ledger.forget_failure(self.folder, task.subject.subset, task.subject.key)
-            self._finish(task)
+        match slot.message():
+            case None:
+                self._lose_dead(slot)
+            case Ready():
+                slot.ready, slot.since = True, time.monotonic()
+            case Broken(reason):
+                raise StorageError(
+                    f"{self.orders.renderer}: cannot start: {reason} (log: {slot.log})"
+                )
+            case DiskFull(folder, reason):
+                raise StorageError(f"{disk_is_full(folder)} ({reason}; log: {slot.log})")
+            case Failed(reason):
+                # Blender may be left in any state by an exception: go on with a fresh process.
+                self._lose(slot, reason)
+            case Done() if slot.task is not None:
+                task, slot.task = slot.task, None
+                slot.served += 1
+                self.streak.clear()
+                self.summary.rendered += 1
+                self.summary.frames += task.subject.frames
+                ledger.forget_failure(self.folder, task.subject.subset, task.subject.key)
+                self._finish(task)
 
     def _lose_dead(self, slot: Slot) -> None:
         slot.process.join(5)
-        self._lose(slot, _death(slot.process.exitcode))
+        self._lose(slot, f"crashed: worker {reason_of_death(slot.process.exitcode)}")
 
     def _lose(self, slot: Slot, reason: str) -> None:
         """A worker is gone, and with it the attempt at its subject."""
@@ -258,13 +254,6 @@ class Run(RunState):
                 files.waiting_tar.unlink(missing_ok=True)
 
 
-def _death(code: int | None) -> str:
-    if code is not None and code < 0:
-        with contextlib.suppress(ValueError):
-            return f"crashed: worker died of {signal.Signals(-code).name}"
-    return f"crashed: worker ended with code {code}"
-
-
-def full(folder: Path) -> str:
+def disk_is_full(folder: Path) -> str:
     """The line that a user gets when the disk of a folder is full."""
     return f"{folder}: the disk is full; make room and run the same command to continue"

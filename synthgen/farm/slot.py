@@ -8,12 +8,14 @@ from dataclasses import dataclass
 from multiprocessing import get_context
 
 from synthgen.farm.process import start
-from synthgen.farm.worker import Orders, work
+from synthgen.farm.worker import Message, Orders, work
 from synthgen.planning.plan import ShardPlan, SubjectPlan
 
 
-@dataclass
+@dataclass(frozen=True)
 class Task:
+    """A subject to render, and the shard that it goes into."""
+
     shard: ShardPlan
     subject: SubjectPlan
 
@@ -32,8 +34,16 @@ class Slot:
         self.since = time.monotonic()
 
     def give(self, task: Task) -> None:
+        """Hand a task to the worker, which must be idle. Raises `OSError` if it is dead."""
         self.task, self.since = task, time.monotonic()
         self.pipe.send(task.subject)
+
+    def message(self) -> Message | None:
+        """What the worker has said, None if it has said nothing: it is dead then."""
+        try:
+            return self.pipe.recv() if self.pipe.poll() else None
+        except (EOFError, OSError):
+            return None
 
     def dismiss(self) -> None:
         """Ask an idle worker to end."""

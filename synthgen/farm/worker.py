@@ -1,32 +1,23 @@
-"""A spawned process that renders whole subjects and commits them as work files.
-
-Messages to the parent: ("ready",), ("broken", reason), ("done", seconds), ("failed", reason),
-("full", folder, reason). The process ends by `os._exit`: Blender may hang at interpreter exit.
-"""
+"""A spawned process that renders whole subjects and commits them as work files."""
 
 from __future__ import annotations
 
 import contextlib
-import ctypes
-import dataclasses
 import errno
 import importlib
-import os
 import shutil
-import signal
-import sys
 import tempfile
-import threading
 import time
 import traceback
 from collections.abc import Callable
+from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any
 
 from synthgen.dataset.folder import DatasetFolder
 from synthgen.dataset.shot import RenderedSubject
 from synthgen.farm.commit import GateError, commit_subject
+from synthgen.farm.process import begin_process, end_process, reason_of
 from synthgen.planning.job import JobSpec
 from synthgen.planning.plan import SubjectPlan
 
@@ -35,7 +26,7 @@ NEARLY_FULL = 16_000_000
 Renderer = Callable[[SubjectPlan, JobSpec, Path, str, int], RenderedSubject]
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclass(frozen=True)
 class Orders:
     """What a worker is told once: everything but the subjects."""
 
@@ -47,19 +38,53 @@ class Orders:
     log: Path
 
 
+@dataclass(frozen=True)
+class Ready:
+    """The renderer is loaded."""
+
+
+@dataclass(frozen=True)
+class Broken:
+    """The renderer cannot be loaded, and the process ends."""
+
+    reason: str
+
+
+@dataclass(frozen=True)
+class Done:
+    """The subject is committed."""
+
+
+@dataclass(frozen=True)
+class Failed:
+    """The subject could not be rendered or broke a promise of the dataset."""
+
+    reason: str
+
+
+@dataclass(frozen=True)
+class DiskFull:
+    """There was no room for it in a folder."""
+
+    folder: Path
+    reason: str
+
+
+Message = Ready | Broken | Done | Failed | DiskFull
+"""What a worker says: `Ready` or `Broken` once, then one of the others per subject."""
+
+
 def work(orders: Orders, pipe: Connection) -> None:
     """Entry point of the process: render subjects from `pipe` until it sends None."""
-    redirect(orders.log)
-    _die_with_parent()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches us too; the parent decides
+    begin_process(orders.log)
     try:
         render = load_renderer(orders.renderer)
     except Exception as error:
         traceback.print_exc()
-        pipe.send(("broken", reason_of(error)))
+        pipe.send(Broken(reason_of(error)))
         end_process(1)
         return
-    pipe.send(("ready",))
+    pipe.send(Ready())
     with contextlib.suppress(EOFError, OSError):
         while (subject := pipe.recv()) is not None:
             print(f"--- {subject.subset}/{subject.key}", flush=True)
@@ -78,18 +103,17 @@ def load_renderer(name: str) -> Renderer:
     return getattr(importlib.import_module(module), function)
 
 
-def _attempt(render: Renderer, orders: Orders, subject: SubjectPlan) -> tuple[Any, ...]:
+def _attempt(render: Renderer, orders: Orders, subject: SubjectPlan) -> Message:
     folder, start = DatasetFolder(orders.out), time.perf_counter()
     try:
         rendered = render(subject, orders.job, folder.environments, orders.device, orders.threads)
         commit_subject(folder, subject, rendered, time.perf_counter() - start)
     except Exception as error:
         traceback.print_exc()
+        reason = f"gate: {error}"[:200] if isinstance(error, GateError) else reason_of(error)
         full = _full_folder(orders, error)
-        if full is not None:
-            return "full", full, reason_of(error)
-        return "failed", reason_of(error)
-    return "done", time.perf_counter() - start
+        return Failed(reason) if full is None else DiskFull(full, reason)
+    return Done()
 
 
 def _full_folder(orders: Orders, error: Exception) -> Path | None:
@@ -106,48 +130,5 @@ def _full_folder(orders: Orders, error: Exception) -> Path | None:
     return orders.out if is_disk_full(error) else None
 
 
-def reason_of(error: BaseException) -> str:
-    """One short line for an exception."""
-    lines = str(error).strip().splitlines()
-    text = lines[0] if lines else ""
-    if isinstance(error, GateError):
-        return f"gate: {text}"[:200]
-    return f"{type(error).__name__}: {text}"[:200].rstrip(": ")
-
-
 def is_disk_full(error: BaseException) -> bool:
     return isinstance(error, OSError) and error.errno in DISK_FULL
-
-
-def redirect(log: Path) -> None:
-    """Send both standard streams to the log at the level of file descriptors: Blender writes C."""
-    handle = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
-    for stream in (sys.stdout, sys.stderr):
-        with contextlib.suppress(OSError, ValueError):
-            stream.flush()
-    os.dup2(handle, 1)
-    os.dup2(handle, 2)
-    os.close(handle)
-
-
-def _die_with_parent() -> None:
-    """End this process when its parent is killed, so that no orphan renders on."""
-    parent = os.getppid()
-    if sys.platform == "linux":
-        pr_set_pdeathsig = 1
-        ctypes.CDLL(None, use_errno=True).prctl(pr_set_pdeathsig, signal.SIGKILL)
-
-    def watch() -> None:
-        while os.getppid() == parent:
-            time.sleep(1.0)
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
-
-
-def end_process(code: int) -> None:
-    """Flush and end at once, past Blender's exit handlers."""
-    for stream in (sys.stdout, sys.stderr):
-        with contextlib.suppress(OSError, ValueError):
-            stream.flush()
-    os._exit(code)

@@ -18,6 +18,7 @@ from assets_procedural.motion.poses import PoseSettings
 from assets_procedural.people.person_sampling import PeopleSettings
 from assets_procedural.settings import Interval, Settings, interval
 from synthgen.errors import JobError, explain
+from synthgen.planning.shipped_jobs import job_file
 
 
 class SubsetSpec(Settings):
@@ -178,14 +179,15 @@ class JobSpec(Settings):
         return value
 
 
-def load_job(path: str | Path, overrides: Sequence[str] = ()) -> JobSpec:
-    """Read and validate a job file; `overrides` are "key=value" as `--set` takes them.
+def load_job(job: str | Path, overrides: Sequence[str] = ()) -> JobSpec:
+    """Read and validate a job: the path of a .toml file, or the name of a shipped one ("demo").
 
-    A relative `environments.folder` is taken from the job file's own folder and made absolute.
+    `overrides` are "key=value" as `--set` takes them. A relative `environments.folder` is taken
+    from the job file's own folder and made absolute.
 
     Raises `JobError` on the first thing that is wrong.
     """
-    path = Path(path)
+    path = job_file(job)
     try:
         data = tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
@@ -195,14 +197,14 @@ def load_job(path: str | Path, overrides: Sequence[str] = ()) -> JobSpec:
     except tomllib.TOMLDecodeError as error:
         raise JobError(path, "", "is not valid TOML", " ".join(str(error).split())) from None
     overridden = [_override(data, text) for text in overrides]
-    job = parse_job(data, path, overridden)
-    folder = job.environments.folder
+    spec = parse_job(data, path, overridden)
+    folder = spec.environments.folder
     if folder is not None:
         folder = (path.parent / folder.expanduser()).resolve()
-        job = job.model_copy(
-            update={"environments": job.environments.model_copy(update={"folder": folder})}
+        spec = spec.model_copy(
+            update={"environments": spec.environments.model_copy(update={"folder": folder})}
         )
-    return job
+    return spec
 
 
 def parse_job(data: dict[str, Any], file: str | Path, overridden: Iterable[str] = ()) -> JobSpec:

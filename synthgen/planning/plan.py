@@ -21,6 +21,7 @@ from assets_procedural.motion.poses import Pose, sample_pose, sample_track
 from assets_procedural.people.person_sampling import sample_person
 from assets_procedural.person import Person
 from assets_procedural.settings import Parameters
+from synthgen.errors import JobError
 from synthgen.planning.camera_sampling import sample_camera
 from synthgen.planning.job import JobSpec, SubsetSpec
 
@@ -95,16 +96,22 @@ class ShardPlan:
 
 
 class Plan:
-    """The subjects of a job; see `plan`."""
+    """The subjects of a job; see `plan`.
+
+    Raises `JobError` if a subset wants more environments per subject than there are.
+    """
 
     def __init__(self, job: JobSpec, environment_ids: Sequence[str]) -> None:
         self.job = job
         self.environment_ids = tuple(environment_ids)
         for name, subset in job.subsets.items():
             if subset.environments > len(self.environment_ids):
-                raise ValueError(
-                    f"subset {name} wants {subset.environments} environments per subject, "
-                    f"the pool has {len(self.environment_ids)}"
+                raise JobError(
+                    job.name,
+                    f"subsets.{name}.environments",
+                    str(subset.environments),
+                    f"the pool has only {len(self.environment_ids)}; "
+                    "lower it, or add to [environments]",
                 )
 
     def __len__(self) -> int:
@@ -224,7 +231,7 @@ class Plan:
 def plan(job: JobSpec) -> Plan:
     """The plan of a job; lists the pool of environments, renders nothing.
 
-    Raises `ValueError` if a subset wants more environments per subject than the pool has.
+    Raises `JobError` if a subset wants more environments per subject than the pool has.
     """
     return Plan(job, [spec.id for spec in pool(job.environments, job.seed)])
 

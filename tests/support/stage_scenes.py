@@ -201,7 +201,7 @@ def dressed(folder: Path, light: str) -> list:
 
     What Cycles says of it is in `folder`, in `<light>.log`.
     """
-    from synthgen.farm.worker import redirect
+    from synthgen.farm.process import redirect
     from synthgen.stage.render import render_subject
 
     redirect(folder / f"{light}.log")

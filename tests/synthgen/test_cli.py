@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import re
 import resource
 import shutil
 import subprocess
@@ -14,7 +16,7 @@ import fake_renderer
 import pytest
 from answer import Answer
 
-from synthgen import cli
+from synthgen import __version__, cli
 
 ROOT = Path(__file__).parents[2]
 FAKE = ("--renderer", fake_renderer.RENDERER)
@@ -35,7 +37,7 @@ frames = 3
 bundled = []
 skies = 2
 """
-COMMANDS = ["plan", "render", "status", "verify", "show", "sheet", "rerender", "query", "export"]
+COMMANDS = [c.callback.__name__ for c in cli.app.registered_commands if c.callback]
 
 
 @pytest.fixture(autouse=True)
@@ -71,8 +73,7 @@ def failure(synthgen: Synthgen) -> Callable[..., str]:
 
 def process(*arguments: object) -> subprocess.CompletedProcess[str]:
     """A command as a user starts it."""
-    code = "from synthgen.cli import main; main()"
-    command = [sys.executable, "-c", code, *map(str, arguments)]
+    command = [sys.executable, "-m", "synthgen", *map(str, arguments)]
     return subprocess.run(
         command, capture_output=True, text=True, cwd=ROOT, timeout=300, check=False
     )
@@ -119,8 +120,48 @@ def test_plan_counts_quickly(synthgen: Synthgen) -> None:
     shown = synthgen("plan", "render_jobs/paper.toml").stdout
     assert "2,000,000" in shown
     assert "60,000" in shown
-    assert "not measured" in shown
-    assert "Add --calibrate" in shown
+
+
+def test_a_plan_answers_before_anything_was_measured(synthgen: Synthgen) -> None:
+    shown = synthgen("plan", "paper", "--within", "7d", "--threads", "2").stdout
+    assert "Hours are reference figures" in shown
+    assert "--calibrate" in shown
+    assert "Within 7.0 days: " in shown
+    shown = synthgen("plan", "paper", "--within", "7d", "--device", "cuda").stdout
+    assert "Hours are an upper bound" in shown
+    assert "Within 7.0 days: " in shown
+
+
+def test_jobs_are_listed_with_their_size_and_purpose(synthgen: Synthgen) -> None:
+    lines = {line.split()[0]: line for line in synthgen("jobs").stdout.splitlines()}
+    assert lines.keys() == {"job", *(path.stem for path in (ROOT / "render_jobs").glob("*.toml"))}
+    assert lines["demo"].split()[1:5] == ["8", "60", "A", "first"]
+
+
+def test_a_shipped_job_goes_by_its_name(
+    synthgen: Synthgen, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    shown = synthgen("plan", "demo")
+    assert shown.returncode == 0, shown.stderr
+    assert shown.stdout.startswith("demo: 256 x 256")
+    small = ("--set", "resolution=48", "--set", "environments.bundled=[]")
+    small += ("--set", "environments.skies=3", "--limit", "1", "--workers", "1")
+    done = synthgen("render", "demo", "--out", "out", *small, *FAKE)
+    assert done.returncode == 0, done.stderr
+    described = json.loads((tmp_path / "out" / "dataset.json").read_text())
+    assert described["job"]["name"] == "demo"
+
+
+def test_a_shell_completes_commands(synthgen: Synthgen, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("_COMMAND_COMPLETE", "complete_bash")
+    monkeypatch.setenv("COMP_WORDS", "command re")
+    monkeypatch.setenv("COMP_CWORD", "1")
+    assert synthgen().stdout.split() == ["render", "rerender"]
+
+
+def test_the_version_is_printed(synthgen: Synthgen) -> None:
+    assert synthgen("--version").stdout == f"synthgen {__version__}\n"
 
 
 def test_calibration_is_measured_kept_and_used(synthgen: Synthgen, job: Path, cache: Path) -> None:
@@ -130,12 +171,54 @@ def test_calibration_is_measured_kept_and_used(synthgen: Synthgen, job: Path, ca
     assert "Within 1 minutes: 1 machine like this one." in shown.stdout
     assert (cache / "calibration.json").exists()
     exact = synthgen("plan", job, *FAKE).stdout
-    assert "not measured" not in exact
-    assert "Carried over" not in exact
-    assert "Carried over" in synthgen("plan", job, "--set", "samples=64", *FAKE).stdout
-    assert "not measured" in synthgen("plan", job).stdout
+    assert "Hours as calibrated on this machine" in exact
+    assert "carried over" not in exact
+    other = synthgen("plan", job, "--set", "samples=64", *FAKE).stdout
+    assert "carried over from 64 x 64, 16 samples, 1 thread." in other
+    assert "reference figures" in synthgen("plan", job).stdout
     many = "--set", "subsets.multiview.subjects=1000000"
     assert "--shard 1/" in synthgen("plan", job, "--within", "1m", *many, *FAKE).stdout
+
+
+def test_what_was_rendered_here_is_what_a_plan_goes_by(synthgen: Synthgen, job: Path) -> None:
+    out = job.with_name("data")
+    assert synthgen("render", job, "--out", out, "--workers", "1", *FAKE).returncode == 0
+    assert f"Hours are what {out} took on this machine" in synthgen("plan", job, *FAKE).stdout
+    named = synthgen("plan", "demo", "--like", out).stdout
+    assert f"Hours are what {out} took, carried over from 64 x 64, 16 samples" in named
+
+
+def test_a_cache_that_cannot_be_written_spoils_no_rendering(
+    synthgen: Synthgen, job: Path, cache: Path
+) -> None:
+    cache.write_text("a file, not a folder")
+    done = synthgen("render", job, "--out", job.with_name("data"), "--limit", "1", *FAKE)
+    assert done.returncode == 0, done.stderr
+
+
+def test_json_has_the_keys_that_the_help_promises(
+    synthgen: Synthgen, job: Path, small_dataset: Path
+) -> None:
+    plan = json.loads(synthgen("plan", job, "--within", "1h", "--json").stdout)
+    assert plan["frames"] == sum(subset["frames"] for subset in plan["subsets"]) == 15
+    assert plan["subsets"][0]["costs"]["source"] == "reference"
+    assert plan["machines"] == 1
+    status = json.loads(synthgen("status", small_dataset, "--json").stdout)
+    assert status["frames"] == status["frames_done"] == 38
+    assert status["complete"]
+    for command, answer in (("plan", plan), ("status", status)):
+        promised = synthgen(command, "--help").stdout
+        promised = promised[promised.index("JSON:") : promised.index("Arguments")]
+        words = set(re.findall(r"[a-z_]+", promised))
+        assert keys(answer) <= words
+        assert {word for word in words if "_" in word} <= keys(answer)
+
+
+def keys(value: object) -> set[str]:
+    """Every key in a JSON value."""
+    if isinstance(value, dict):
+        return set(value).union(*(keys(v) for v in value.values()))
+    return set().union(*(keys(v) for v in value)) if isinstance(value, list) else set()
 
 
 def test_calibration_reports_a_broken_renderer(failure: Callable[..., str], job: Path) -> None:
@@ -234,9 +317,7 @@ def test_errors_are_one_line(failure: Callable[..., str], job: Path, tmp_path: P
     assert "--set: samples = 0" in failure("plan", job, "--set", "samples=0")
     assert "--within: soon" in failure("plan", job, "--within", "soon")
     assert "it is a file; give another" in failure("render", job, "--out", job)
-    assert "--device: gpu: choose" in failure("render", job, "--out", out, "--device", "gpu")
     assert "--shard: 5/4" in failure("render", job, "--out", out, "--shard", "5/4")
-    assert "--format: obj: choose nerfstudio" in failure("export", out, "--format", "obj")
     for command in ("status", "verify", "sheet", "export"):
         assert "no dataset here" in failure(command, out)
     assert not out.exists()
@@ -253,3 +334,10 @@ def test_usage_errors_exit_with_2(synthgen: Synthgen, job: Path) -> None:
     assert synthgen("render", job, "--out", "x", "--workers", "0").returncode == 2
     assert synthgen("render", job, "--out", "x", "--time-limit", "0").returncode == 2
     assert synthgen("dance").returncode == 2
+    for arguments in (
+        ("render", job, "--out", "x", "--device", "gpu"),
+        ("export", "x", "--format", "obj"),
+    ):
+        answer = synthgen(*arguments)
+        assert answer.returncode == 2
+        assert "is not" in answer.stderr

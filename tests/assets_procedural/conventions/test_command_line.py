@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import errno
 import logging
+import subprocess
+import sys
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 from answer import Answer
 
-from assets_procedural.conventions.command_line import run
+from assets_procedural.conventions.command_line import print_version, run
 from assets_procedural.conventions.errors import UserError, one_line
 
 
@@ -53,3 +56,40 @@ def test_what_libraries_log_is_shown(run_main: Callable):
 
     answer: Answer = run_main(lambda: run(app))
     assert answer.stderr.splitlines() == ["step 1 of 2", "warning: slow [here]"]
+
+
+def test_the_version_is_printed_only_where_it_is_asked_for(capsys: pytest.CaptureFixture[str]):
+    print_version("synthgen 1.2")(False)
+    assert capsys.readouterr().out == ""
+    with pytest.raises(SystemExit) as end:
+        print_version("synthgen 1.2")(True)
+    assert (end.value.code, capsys.readouterr().out) == (0, "synthgen 1.2\n")
+
+
+@pytest.mark.parametrize(
+    ("missing", "extra", "arguments"),
+    [
+        ("bpy", "render", "synthgen render demo --out OUT"),
+        ("bpy", "render", "synthgen plan demo --calibrate"),
+        ("uvicorn", "browse", "synthgen browse OUT"),
+        ("torch", "model", "totalediting bake OUT.hdr --out OUT.exr"),
+        ("torch", "model", "totalediting train lightmaps OUT --out OUT"),
+        ("torch", "model", "totalediting evaluate OUT OUT"),
+    ],
+)
+def test_a_missing_extra_is_one_line_before_anything_is_written(
+    tmp_path: Path, missing: str, extra: str, arguments: str
+):
+    code = (
+        f"import sys, runpy; sys.modules[{missing!r}] = None; "
+        "runpy.run_module(sys.argv.pop(1), run_name='__main__', alter_sys=True)"
+    )
+    words = arguments.replace("OUT", str(tmp_path / "out")).split()
+    command = [sys.executable, "-c", code, *words]
+    answer = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert answer.returncode == 2, answer.stderr
+    line = (
+        f"error: this needs {missing}, which is not installed: pip install 'totalediting[{extra}]'"
+    )
+    assert answer.stderr == line + "\n"
+    assert not list(tmp_path.iterdir())

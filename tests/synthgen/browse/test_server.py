@@ -551,4 +551,4 @@ def test_without_the_extra_the_command_names_it(
     monkeypatch.setitem(sys.modules, "uvicorn", None)
     monkeypatch.delitem(sys.modules, "synthgen.browse.serve", raising=False)
     answer = run_main(cli.main, "browse", small_dataset)
-    assert "pip install 'synthgen[browse]'" in answer.error
+    assert "pip install 'totalediting[browse]'" in answer.error

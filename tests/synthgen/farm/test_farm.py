@@ -28,6 +28,7 @@ from synthgen.dataset.folder import DatasetFolder, StorageError
 from synthgen.dataset.records import read_description
 from synthgen.farm import local, progress, run, worker
 from synthgen.farm.local import render_job
+from synthgen.farm.rerender import rerender
 from synthgen.planning.plan import subject_key
 from synthgen.publish import publish
 from synthgen.publish.verify import verify
@@ -265,6 +266,17 @@ def test_a_renderer_that_cannot_start_is_one_line(tmp_path: Path):
     assert ledger.failures(DatasetFolder(tmp_path / "out")) == []
 
 
+def test_a_shot_that_cannot_be_rendered_again_is_one_line(
+    whole: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setenv("TROUBLE", json.dumps({"s000001": "raise", "s000002": "hang"}))
+    failed = "s00000._p01: rendering it again failed"
+    with pytest.raises(StorageError, match=f"{failed}: RuntimeError: no hair left$"):
+        rerender(whole, "multiview/s000001_p01")
+    with pytest.raises(StorageError, match=f"{failed}: took more than 2 s$"):
+        rerender(whole, "multiview/s000002_p01", time_limit=2.0)
+
+
 def test_a_broken_set_up_does_not_quarantine_everybody(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
@@ -400,7 +412,7 @@ def test_workers_default_to_the_cores_allowed(tmp_path: Path, monkeypatch: pytes
     monkeypatch.setattr(local.calibration, "cores", lambda: 6)
     seen = []
     monkeypatch.setattr(
-        local.Run, "go", lambda self, *_: seen.append(self.workers) or run.Summary()
+        local.Run, "render", lambda self, *_: seen.append(self.workers) or run.Summary()
     )
     render(tmp_path / "out", workers=None, threads=2)
     assert seen == [3]

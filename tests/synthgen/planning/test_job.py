@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import importlib.util
 import os
 import re
 import shutil
@@ -10,14 +11,18 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import fake_renderer
 import numpy as np
 import OpenEXR
 import pytest
 from PIL import Image
 
+from assets_procedural.conventions.panorama import PanoramaError
 from synthgen.dataset.folder import DatasetFolder
 from synthgen.errors import JobError
 from synthgen.farm import preflight
+from synthgen.farm.isolated import IsolatedError
+from synthgen.farm.local import render_job
 from synthgen.planning.job import JobSpec, load_job
 from synthgen.planning.plan import subject_key
 
@@ -347,10 +352,33 @@ def test_unreadable_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     assert "cannot be read (Permission denied); change its rights" in folder_message(tmp_path)
 
 
-def test_unknown_device() -> None:
+def test_a_device_that_is_not_there_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     preflight.check_device("cpu")
-    with pytest.raises(JobError, match="--device: gpu: choose cpu, cuda, optix, hip, metal"):
-        preflight.check_device("gpu")
+
+    def nothing_found(*_: object, **__: object) -> None:
+        raise IsolatedError("RuntimeError: no cuda device was found; use --device cpu")
+
+    monkeypatch.setattr(preflight, "isolated", nothing_found)
+    with pytest.raises(JobError, match=r"^--device: cuda: no cuda device was found; use --device"):
+        preflight.check_device("cuda")
+
+
+def test_without_blender_a_plan_is_made_and_rendering_names_the_extra(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    find = importlib.util.find_spec
+    monkeypatch.setattr(
+        importlib.util, "find_spec", lambda name, *of: None if name == "bpy" else find(name, *of)
+    )
+    job = load_job("demo")
+    the_plan, _ = preflight.make_plan(job, "demo")
+    assert the_plan.environment_ids[:2] == ("city", "courtyard")
+    with pytest.raises(ModuleNotFoundError) as missing:
+        render_job(job, tmp_path / "out")
+    assert missing.value.name == "bpy"
+    with pytest.raises(PanoramaError, match=r"pip install 'totalediting\[render\]'"):
+        render_job(job, tmp_path / "out", renderer=fake_renderer.RENDERER)
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize("text", ["3", "0/4", "5/4", "1/0", "a/b", "-1/4", "1/4/2"])

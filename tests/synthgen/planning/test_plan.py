@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from synthgen.errors import JobError
 from synthgen.planning.job import JobSpec, SubsetSpec, load_job
 from synthgen.planning.plan import (
     SPLITS,
@@ -134,7 +135,7 @@ def test_lights_are_different_and_in_range() -> None:
 
 
 def test_pool_must_be_large_enough() -> None:
-    with pytest.raises(ValueError, match="subset video wants 3 environments per subject, the pool"):
+    with pytest.raises(JobError, match=r"subsets\.video\.environments = 3: the pool has only"):
         make(pool=POOL[:2])
 
 
