@@ -188,6 +188,6 @@ def preset_with(name: str, changes: list[str]) -> Preset:
         switch, _, value = change.partition("=")
         if value not in SWITCHES.get(switch, ()):
             known = "; ".join(f"{k}={'|'.join(v)}" for k, v in SWITCHES.items())
-            raise InputError(f"--set: {change}: choose of {known}")
+            raise InputError(f"--set: {change}: choose one of {known}")
         values[switch] = float(value) if switch == "alpha" else value
     return replace(PRESETS[name], **values)  # pyright: ignore[reportArgumentType]

@@ -28,6 +28,7 @@ from torch import Tensor, nn
 from assets_procedural.conventions.panorama import replacing
 from totalediting.errors import InputError
 from totalediting.presets import Preset, preset_with
+from totalediting.training.figures import with_current_names
 
 KEPT = 2
 """Checkpoints that are kept beside the best."""
@@ -139,11 +140,13 @@ def read(path: Path, device: str = "cpu") -> Checkpoint:
             for name in ("model", "average", "state")
         ]
         facts = json.loads((path / "facts.json").read_text())
+        if "figures" in facts:
+            facts["figures"] = with_current_names(facts["figures"])
         model, average, state = parts
         return Checkpoint(model, average, state, facts)
     except Exception as error:  # safetensors raises its own, json and the file system others
         reason = (str(error).splitlines() or [type(error).__name__])[0]
-        raise InputError(f"{path}: is no whole checkpoint ({reason})") from None
+        raise InputError(f"{path}: incomplete or corrupt checkpoint ({reason})") from None
 
 
 def configure(run: Path, config: dict[str, Any]) -> None:

@@ -27,6 +27,7 @@ from totalediting.presets import Preset
 from totalediting.training import checkpoints, metrics
 from totalediting.training.joint import Joint
 from totalediting.training.reconstruction import decomposition, edit_of
+from totalediting.training.stages import STAGES
 
 _TILE = 128
 _SPECULAR = 3  # of the lightmaps, the one that is shown: n = 32
@@ -40,7 +41,7 @@ def load_model(run: Path) -> TotalEditing:
     """
     if (joint := _joint(run)) is not None:
         return joint.model.eval()
-    folder = run / "reconstruct"
+    folder = STAGES["reconstruct"].folder(run)
     model = TotalEditing(*_built(folder))
     checkpoints.load_best(folder, model)
     return model.eval()
@@ -50,7 +51,7 @@ def load_estimator(run: Path) -> LightmapEstimator | None:
     """A run's lightmap estimator, from `joint` or `lightmaps`; None if it has none."""
     if (joint := _joint(run)) is not None:
         return joint.estimator.eval()
-    folder = run / "lightmaps"
+    folder = STAGES["lightmaps"].folder(run)
     if checkpoints.best_step(folder) is None:
         return None
     estimator = LightmapEstimator(_built(folder)[0])
@@ -59,7 +60,7 @@ def load_estimator(run: Path) -> LightmapEstimator | None:
 
 
 def _joint(run: Path) -> Joint | None:
-    folder = run / "joint"
+    folder = STAGES["joint"].folder(run)
     if checkpoints.best_step(folder) is None:
         return None
     joint = Joint(*_built(folder))

@@ -49,7 +49,7 @@ def test_a_damaged_checkpoint_is_passed_over(tmp_path: Path, damage: str) -> Non
         (path / "state.safetensors").unlink()
     else:
         (path / "facts.json").write_text("{")
-    with pytest.raises(InputError, match="no whole checkpoint"):
+    with pytest.raises(InputError, match="incomplete or corrupt checkpoint"):
         checkpoints.read(path)
     assert checkpoints.latest(tmp_path).step == 1  # pyright: ignore[reportOptionalMemberAccess]
 
