@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from totalediting.data.endless import Numbered
+from totalediting.data.endless import EndlessDataset
 from totalediting.data.portraits import Portrait, Portraits
 from totalediting.presets import PRESETS
 from totalediting.training import loop
@@ -28,7 +28,7 @@ from totalediting.training.lightmaps import LightmapStage
 from totalediting.training.stages import STAGES
 
 
-class FirstPeople(Numbered[Portrait]):
+class FirstPeople(EndlessDataset[Portrait]):
     """The portraits of the first `count` people of others."""
 
     def __init__(self, of: Portraits, count: int, seed: int = 0) -> None:

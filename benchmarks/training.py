@@ -7,11 +7,12 @@ Every preset and stage has a process of its own, so that its memory peak is its 
 process's resident set, imports included, on a GPU the allocator's. Weights are fresh. Steps are
 numbered from the middle of the stage's schedule, where all terms of the loss count; times are
 medians over steps after two that warm up, so that what comes once in 16 steps (R_TV, R1) is not in
-them. A step is that of `totalediting train`, which waits for its batch from one worker and ends with
+them. A step is that of `totalediting train`: it waits for its batch from one worker and ends with
 the moving average of the weights. "a sample" is what making one takes without a worker. Time by
 piece is from further steps with hooks: nested pieces do not count twice, "volume rendering" is what
-is left of the model's forward, "losses" what is left of the loss. A piece's backward is from the gradient of its output to that of its last parameter. What is measured
-holds for the number of threads that is printed; OMP_NUM_THREADS sets it.
+is left of the model's forward, "losses" what is left of the loss. A piece's backward is from the
+gradient of its output to that of its last parameter. What is measured holds for the number of
+threads that is printed; OMP_NUM_THREADS sets it.
 """
 
 from __future__ import annotations

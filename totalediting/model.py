@@ -223,4 +223,6 @@ class TotalEditing(nn.Module):
 
         low, high = box(control.posed)
         with torch.autocast(low.device.type, enabled=False):
-            return tabulate(field, low, high, preset.field, lead=control.posed.shape[:-2])
+            return tabulate(
+                field, low, high, preset.deformation_nodes, lead=control.posed.shape[:-2]
+            )

@@ -65,8 +65,8 @@ class Preset:
 
     alpha: float = 2.0
     """Fall-off of moving least squares; the paper's 1 is ten times farther from real necks."""
-    field: int = 32
-    """Nodes along an axis of the deformation's table."""
+    deformation_nodes: int = 32
+    """Nodes of the deformation's table along each axis."""
     deformation: Literal["mls", "surface_field"] = "mls"
     """What moves points to canonical space."""
     rotation: Literal["mls", "surface_field", "none"] = "mls"
@@ -74,7 +74,7 @@ class Preset:
     decoder: Literal["phong", "plain"] = "phong"
     """Decomposed shading, or the baseline's one colour that knows no light."""
     colour: Literal["linear", "srgb"] = "linear"
-    """Light that shading is composed and rendered in; linear is shown through the display curve."""
+    """What shading is composed and rendered in; linear light then passes the display curve."""
 
 
 PRESETS = {
@@ -105,7 +105,7 @@ PRESETS = {
             light_directions=128,
             lobe_dim=128,
             lobe_blocks=2,
-            field=16,
+            deformation_nodes=16,
         ),
         Preset(
             name="small",

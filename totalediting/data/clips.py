@@ -28,7 +28,7 @@ from PIL import Image
 from torch import Tensor
 
 from totalediting.data import shots
-from totalediting.data.endless import Numbered, Unreadable
+from totalediting.data.endless import EndlessDataset, Unreadable
 from totalediting.data.pairs import reason
 from totalediting.errors import InputError
 from totalediting.presets import Preset
@@ -102,7 +102,7 @@ class Frames:
         return [np.asarray(Image.open(path).convert("RGB")) for path in paths]
 
 
-class Clips(Numbered[ClipPair]):
+class Clips(EndlessDataset[ClipPair]):
     """`ClipPair`s: every clip of a folder once per epoch, its frames at random."""
 
     def __init__(self, folder: Path | str, preset: Preset, seed: int = 0) -> None:

@@ -6,7 +6,7 @@ the samples taken so far; ranks take every world-th number and workers are dealt
 
 Where an item cannot be read, the next in the epoch's order takes its place: by a rule, so that it
 does not matter who found the damage first. Such an item is counted and named once, see
-`Numbered.skipped`.
+`EndlessDataset.skipped`.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ import torch
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset, Sampler
 
+from assets_procedural.conventions.command_line import set_up_logging
 from totalediting.errors import InputError
 
 log = logging.getLogger(__name__)
@@ -38,7 +39,7 @@ class Unreadable(Exception):
         self.item, self.reason = item, reason
 
 
-class Numbered(Dataset[Item], ABC, Generic[Item]):
+class EndlessDataset(Dataset[Item], ABC, Generic[Item]):
     """A map-style dataset of samples 0, 1, 2, … without end; `len` is the size of an epoch.
 
     A subclass says how one is made, in `make`.
@@ -124,7 +125,7 @@ class Stream(Sampler[int]):
 
 
 def loader(
-    samples: Numbered[Any],
+    samples: EndlessDataset[Any],
     batch: int,
     workers: int = 0,
     start: int = 0,
@@ -144,7 +145,14 @@ def loader(
         num_workers=workers,
         collate_fn=collate,
         pin_memory=torch.cuda.is_available(),
+        worker_init_fn=_begin_worker,
     )
+
+
+def _begin_worker(number: int) -> None:
+    """In a process that reads data: messages, unless they are set up as in a forked one."""
+    if not logging.getLogger().handlers:
+        set_up_logging()
 
 
 def collate(samples: list[Any]) -> Any:

@@ -20,6 +20,7 @@ import torch
 from scipy import sparse
 from torch import Tensor
 
+from assets_procedural.conventions.colour import srgb_decode
 from assets_procedural.motion.poses import ARKIT_NAMES
 from synthgen.dataset import open_dataset
 from totalediting.errors import InputError
@@ -220,8 +221,4 @@ def _to_tensor(values: np.ndarray) -> Tensor:
     return torch.from_numpy(np.ascontiguousarray(values.transpose(2, 0, 1)))
 
 
-def _srgb_decode(shown: np.ndarray) -> np.ndarray:
-    return np.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4)
-
-
-_LINEAR = _srgb_decode(np.arange(256) / 255.0).astype(np.float32)
+_LINEAR = srgb_decode(np.arange(256) / 255.0).astype(np.float32)  # of an sRGB byte

@@ -183,13 +183,13 @@ def quaternion_of(moment: Tensor) -> Tensor:
         [xy - yx, zx + xz, yz + zy, zz - xx - yy],
     ]
     matrix = torch.stack([torch.stack(row, -1) for row in rows], -2)
-    if at_once(matrix):
+    if favours_few_operations(matrix):
         return top_eigenvector(matrix)
     return torch.linalg.eigh(matrix).eigenvectors[..., -1]
 
 
-def at_once(tensor: Tensor) -> bool:
-    """Whether few large operations on it are quicker than many small ones: on a GPU."""
+def favours_few_operations(tensor: Tensor) -> bool:
+    """Whether few large operations are faster than many small ones where a tensor is: on a GPU."""
     return tensor.is_cuda
 
 

@@ -23,7 +23,7 @@ from torch.nn import functional
 
 from totalediting.geometry import volume
 from totalediting.geometry.field import Control
-from totalediting.geometry.relief import GRID, fill, relief_of, texels_of
+from totalediting.geometry.relief import GRID, fill_holes, front_and_back, texels_of
 from totalediting.geometry.space import off_planes, on_planes
 
 _SHOWN, _RELIEF = 4, 2  # channels: colour and how squarely it is seen; front and back
@@ -96,7 +96,7 @@ def _lay(image: Tensor, control: Control, camera_to_world: Tensor, intrinsics: T
 
     places = on_planes(control.canonical)
     texel = texels_of(places)
-    relief = relief_of(places, control.canonical_normals, texel)
+    relief = front_and_back(places, control.canonical_normals, texel)
     behind = places[..., 1] - relief[:, 0].flatten(1).gather(1, texel)
     front = (-control.canonical_normals[..., 1]).clamp_min(0)
     weight = (front * (places.abs() < 1).all(-1) * (behind < _BEHIND))[..., None]
@@ -111,7 +111,7 @@ def _lay(image: Tensor, control: Control, camera_to_world: Tensor, intrinsics: T
     values = torch.cat([weight, weight * known], -1)
     sums.scatter_add_(1, texel[..., None].expand_as(values), values)
     sums = sums.mT.unflatten(-1, (GRID, GRID))
-    filled = functional.interpolate(fill(sums), (side, side), mode="bilinear")
+    filled = functional.interpolate(fill_holes(sums), (side, side), mode="bilinear")
     skin = functional.max_pool2d((sums[:, :1] > 0).float(), 5, 1, 2)
     skin = functional.interpolate(skin, (side, side), mode="bilinear")
 

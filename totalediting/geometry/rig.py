@@ -1,4 +1,4 @@
-"""What the head tracker says of a picture, as the model takes it: control points and camera.
+"""From a tracking to what the model takes: the control points of the bust, and a camera.
 
 Symbols: B batch, V vertices of the skin in the order of the dataset's `control_points`, J bones.
 Space: model space, metres, world axes, the origin at `space.head_centre` of the canonical bust;
@@ -23,13 +23,13 @@ from assets_procedural.body.distill import BONES
 from assets_procedural.body.head import HEAD_SHARES, LIDS, HeadModel
 from assets_procedural.body.landmarks import skin_weights
 from assets_procedural.body.regions import fields
+from assets_procedural.conventions.camera import SENSOR_MM
 from assets_procedural.motion.poses import ARKIT_NAMES, Pose, lid_following
 from totalediting.geometry.field import Control
 from totalediting.geometry.identity import IdentityBasis, identity_basis
 from totalediting.geometry.space import ORIGIN_LANDMARKS
 from totalediting.geometry.tracking import FILL, SIZES, Tracking
 
-_SENSOR_MM = 36.0
 _SMALL = 1e-3  # radians: a gaze that no lid is fully turned by
 
 
@@ -72,7 +72,7 @@ def camera_of(tracking: Tracking, side: int) -> tuple[Tensor, Tensor]:
     camera_to_world = torch.eye(4).to(position).repeat(len(position), 1, 1)
     camera_to_world[:, :3] = torch.stack([right, up, away, position], -1)
     intrinsics = torch.eye(3).to(position).repeat(len(position), 1, 1)
-    intrinsics[:, :2, :2] *= (tracking.focal_mm / _SENSOR_MM * side)[..., None]
+    intrinsics[:, :2, :2] *= (tracking.focal_mm / SENSOR_MM * side)[..., None]
     intrinsics[:, :2, 2] = side / 2
     return camera_to_world.float(), intrinsics.float()
 
@@ -95,7 +95,7 @@ def reframed(tracking: Tracking) -> Tracking:
     rest = _box(rig, exact._replace(**still))
     middle, height = _box(rig, exact)
     off = _position(rest, axes, exact) - middle
-    frame = (off * away).sum(-1, keepdim=True) * _SENSOR_MM / exact.focal_mm
+    frame = (off * away).sum(-1, keepdim=True) * SENSOR_MM / exact.focal_mm
     shift = torch.cat([(off * axis).sum(-1, keepdim=True) for axis in (right, up)], -1)
     return tracking._replace(
         log_fill=(height / frame / FILL).log().float(), shift=(-shift / frame).float()
@@ -198,7 +198,7 @@ def _position(
     right, up, away = axes
     frame = height / tracking.fill
     shift = frame * tracking.shift
-    position = middle + tracking.focal_mm / _SENSOR_MM * frame * away
+    position = middle + tracking.focal_mm / SENSOR_MM * frame * away
     return position - shift[:, :1] * right - shift[:, 1:] * up
 
 

@@ -80,7 +80,7 @@ def render(
     intrinsics: Tensor,
     lightmaps: Tensor,
     to_light: Tensor,
-    field: Deformation | None,
+    deformation: Deformation | None,
     preset: Preset,
     generator: torch.Generator | None = None,
     chunk: int | None = None,
@@ -98,7 +98,7 @@ def render(
         camera_to_world: (B, 4, 4) into model space.
         intrinsics: (B, 3, 3) for a picture of h x h, see `volume.resize_intrinsics`.
         lightmaps, to_light: see `ShadingDecoder.forward`.
-        field: from posed to canonical space; None where there is no motion. Where
+        deformation: from posed to canonical space; None where there is no motion. Where
             `preset.rotation` is "none", its positions count but normals stay canonical.
         generator: places samples at random in their strata, on the device of the planes; without
             one they lie in the middle.
@@ -120,7 +120,7 @@ def render(
             decoders=decoders,
             lightmaps=_full(lightmaps),
             to_light=_full(to_light),
-            field=field,
+            deformation=deformation,
             turned=preset.rotation != "none",
         )
         camera_to_world = _full(camera_to_world)
@@ -235,7 +235,7 @@ class _Subject(NamedTuple):
     decoders: Decoders
     lightmaps: Tensor
     to_light: Tensor
-    field: Deformation | None
+    deformation: Deformation | None
     turned: bool
 
 
@@ -276,8 +276,8 @@ def _decode(subject: _Subject, rays: _Rays) -> tuple[Tensor, Tensor, ToPosed]:
     """Weights (B, R, S) and canonical points (B, R * S, 3) of samples; what turns normals there."""
     points = volume.along(rays.origins, rays.directions, rays.distances).flatten(1, 2)
     to_posed: ToPosed = _unturned
-    if subject.field is not None:
-        deformed = subject.field(points)
+    if subject.deformation is not None:
+        deformed = subject.deformation(points)
         points = deformed.position
         if subject.turned:
             to_posed = deformed.to_posed

@@ -26,7 +26,7 @@ from torch.nn import functional
 
 from totalediting.data.clips import ClipPair, Clips
 from totalediting.data.endless import loader
-from totalediting.data.pairs import Sample
+from totalediting.data.pairs import PortraitPair
 from totalediting.geometry.frontal import frontalise
 from totalediting.geometry.identity import faces_of
 from totalediting.geometry.rig import camera_of, control_of
@@ -82,7 +82,7 @@ class Joint(nn.Module):
         self,
         preset: Preset,
         faces: Tensor | None,
-        objective: Callable[[Sample | ClipPair, int], Loss] | None = None,
+        objective: Callable[[PortraitPair | ClipPair, int], Loss] | None = None,
     ) -> None:
         super().__init__()
         self.objective = objective
@@ -91,7 +91,7 @@ class Joint(nn.Module):
         self.discriminator = Discriminator(preset)
         self.estimator.to_normal.requires_grad_(False)
 
-    def forward(self, batch: Sample | ClipPair, step: int) -> Loss:
+    def forward(self, batch: PortraitPair | ClipPair, step: int) -> Loss:
         assert self.objective is not None  # only training calls this
         return self.objective(batch, step)
 
@@ -141,7 +141,9 @@ class JointStage(PairStage):
     def skipped(self) -> dict[str, str]:
         return super().skipped | (self.real.clips.skipped if self.real else {})
 
-    def batches(self, first: int, size: int, rank: int, ranks: int) -> Iterator[Sample | ClipPair]:
+    def batches(
+        self, first: int, size: int, rank: int, ranks: int
+    ) -> Iterator[PortraitPair | ClipPair]:
         real = self.real
         if real is None:
             yield from super().batches(first, size, rank, ranks)
@@ -155,11 +157,11 @@ class JointStage(PairStage):
             yield next(clips) if real.at(step) else next(pairs)
             step += 1
 
-    def loss(self, network: nn.Module, batch: Sample | ClipPair, step: int) -> Loss:
+    def loss(self, network: nn.Module, batch: PortraitPair | ClipPair, step: int) -> Loss:
         return network(batch, step)
 
-    def _objective(self, batch: Sample | ClipPair, step: int) -> Loss:
-        if isinstance(batch, Sample):
+    def _objective(self, batch: PortraitPair | ClipPair, step: int) -> Loss:
+        if isinstance(batch, PortraitPair):
             return self._synthetic(batch, step)
         return self._real(batch, step)
 
@@ -205,7 +207,7 @@ class JointStage(PairStage):
         total = losses.total(found, self.weights, step)
         return total.loss, {f"real_{name}": value for name, value in total.scalars.items()}
 
-    def _synthetic(self, batch: Sample, step: int) -> Loss:
+    def _synthetic(self, batch: PortraitPair, step: int) -> Loss:
         joint, factors = self.network, self.weights.at(step)
         generator = generator_on(batch.app_image.device)
         to_camera = batch.camera_to_world[:, :3, :3].mT
@@ -246,7 +248,7 @@ class JointStage(PairStage):
     def validate(self, network: nn.Module) -> Validation:
         return validate(self.network.model, self.held_out, self.most)
 
-    def _adversarial(self, edit: Edit, batch: Sample, step: int) -> tuple[Tensor, Tensor]:
+    def _adversarial(self, edit: Edit, batch: PortraitPair, step: int) -> tuple[Tensor, Tensor]:
         """The generator's term, and the discriminator's own with its penalty."""
         critic, side = self.network.discriminator, batch.mot_image.shape[-1]
         camera = discriminator.camera_code(batch.camera_to_world, batch.intrinsics, side)

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from totalediting.data.pairs import Sample
+from totalediting.data.pairs import PortraitPair
 from totalediting.model import Edit, TotalEditing, Window
 from totalediting.networks.rendering import density_jitter, density_normals
 from totalediting.presets import Preset
@@ -50,7 +50,7 @@ class Truth(NamedTuple):
         )
 
 
-def truth_of(batch: Sample) -> Truth:
+def truth_of(batch: PortraitPair) -> Truth:
     """All that is known of synthetic pictures."""
     matted = torch.ones(len(batch.alpha), dtype=torch.bool, device=batch.alpha.device)
     return Truth(batch.mot_image, batch.alpha, matted, batch.normal, batch.albedo, batch.canonical)

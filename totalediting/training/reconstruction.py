@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from totalediting.data.endless import loader, to_device
-from totalediting.data.pairs import MIRRORED, PortraitPairs, Sample
+from totalediting.data.pairs import MIRRORED, PortraitPair, PortraitPairs
 from totalediting.geometry.field import Control, Table
 from totalediting.geometry.identity import faces_of
 from totalediting.geometry.mirroring import MIRROR
@@ -56,7 +56,7 @@ class PairStage(Stage):
     def skipped(self) -> dict[str, str]:
         return self.static.skipped | self.train.skipped
 
-    def deformation(self, model: TotalEditing, batch: Sample) -> Table:
+    def deformation(self, model: TotalEditing, batch: PortraitPair) -> Table:
         """The batch's deformations; each shot's is solved once and kept, as far as there is room.
 
         They take a third of a step on a CPU, and do not change. A mirrored shot's is the mirror
@@ -78,7 +78,7 @@ class PairStage(Stage):
             del self._tables[next(iter(self._tables))]
         return table
 
-    def batches(self, first: int, size: int, rank: int, ranks: int) -> Iterator[Sample]:
+    def batches(self, first: int, size: int, rank: int, ranks: int) -> Iterator[PortraitPair]:
         start, moving = first * size * ranks, self.static_steps * size * ranks
         if start < moving:
             yield from loader(self.static, size, self.workers, start, moving, rank, ranks)
@@ -105,7 +105,7 @@ class ReconstructStage(PairStage):
         self.weights = weights
         self.network = TotalEditing(preset, faces)
 
-    def loss(self, network: nn.Module, batch: Sample, step: int) -> Loss:
+    def loss(self, network: nn.Module, batch: PortraitPair, step: int) -> Loss:
         generator = generator_on(batch.app_image.device)
         window = window_in(self.network.preset)
         table = self.deformation(self.network, batch)
@@ -146,7 +146,7 @@ def window_in(preset: Preset) -> Window:
 
 def edit_of(
     network: nn.Module,
-    batch: Sample,
+    batch: PortraitPair,
     generator: torch.Generator | None,
     lightmaps: Tensor | None = None,
     to_light: Tensor | None = None,
@@ -215,7 +215,7 @@ def decomposition(edit: Edit, camera_to_world: Tensor) -> dict[str, Tensor]:
     }
 
 
-def edit_picture(batch: Sample, edit: Edit) -> Tensor:
+def edit_picture(batch: PortraitPair, edit: Edit) -> Tensor:
     """(3, H, W): source, truth, result, then what the result is made of."""
     size = batch.mot_image.shape[-2:]
     parts = decomposition(edit, batch.camera_to_world).values()

@@ -17,7 +17,7 @@ from torch.nn import functional
 
 from assets_procedural.conventions.panorama import replacing
 from totalediting.data.endless import collate
-from totalediting.data.pairs import PortraitPairs, Sample
+from totalediting.data.pairs import PortraitPair, PortraitPairs
 from totalediting.geometry.identity import faces_of
 from totalediting.light import phong
 from totalediting.light.pictures import EDGE, FAINT, GAP, INK, PAPER
@@ -101,11 +101,11 @@ def draw(run: Path, data: Path, target: Path, rows: int = 6, split: str = "test"
     return _page(columns, title, target)
 
 
-def of_different_people(pairs: PortraitPairs, count: int) -> list[Sample]:
+def of_different_people(pairs: PortraitPairs, count: int) -> list[PortraitPair]:
     """A sample each of `count` subjects, or of all where there are fewer."""
     subject_of = dict(zip(pairs.keys, pairs.shots.subjects, strict=True))
     people = min(count, len(set(subject_of.values())))
-    found: dict[str, Sample] = {}
+    found: dict[str, PortraitPair] = {}
     for number in range(len(pairs)):
         if len(found) == people:
             break

@@ -19,13 +19,13 @@ from answer import Answer
 from PIL import Image
 
 from assets_procedural.conventions import panorama
+from assets_procedural.conventions.colour import KNEE
 from assets_procedural.light.pool import EnvironmentSettings, pool
 from totalediting import cli
 from totalediting.errors import InputError
 from totalediting.light import lightmaps
 from totalediting.light.ball import shade_ball
 from totalediting.light.files import read_lightmaps, write_lightmaps
-from totalediting.light.phong import KNEE
 from totalediting.light.pictures import exposure_of
 
 CHANNELS = {f"{lobe}.{c}" for lobe in lightmaps.LOBES for c in "RGB"}

@@ -123,3 +123,15 @@ def test_weights_of_another_network_are_refused_in_one_line(tmp_path: Path) -> N
     assert torch.equal(other.weight, layer.weight)
     with pytest.raises(InputError, match="preset = tiny, decoder=plain"):
         checkpoints.load_best(tmp_path, torch.nn.Linear(3, 2))
+
+
+def test_figures_of_an_older_checkpoint_have_todays_names(tmp_path: Path) -> None:
+    old = {"PSNR": 24.0, "normal, mean °": 22.0, "head": 0.1, "of my own": 1.0}
+    facts = {"step": 1, "figures": old, "lowest": -24.0, "best": True}
+    checkpoints.save(tmp_path, Checkpoint({}, {}, {}, facts), is_best=True)
+    assert checkpoints.best(tmp_path).facts["figures"] == {
+        "psnr": 24.0,
+        "normal_error": 22.0,
+        "head_error": 0.1,
+        "of my own": 1.0,
+    }
