@@ -24,7 +24,7 @@ else:  # Typer reads the choices off the types
 Device = Literal["cpu", "cuda"]
 
 app = typer.Typer(
-    help="Edit portraits: appearance, motion and light of a head apart from each other.",
+    help="Edit portraits: appearance, motion and light of a head, each by itself.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -43,20 +43,22 @@ def bake(
     environment: Annotated[
         Path, typer.Argument(metavar="ENV.exr", help="An equirectangular .exr or .hdr panorama.")
     ],
-    out: Annotated[Path, typer.Option("--out", metavar="MAPS.exr", help="Where the maps go.")],
+    out: Annotated[Path, typer.Option("--out", metavar="MAPS.exr", help="File to write.")],
     size: Annotated[int, typer.Option(help="Height of a map in pixels; it is twice as wide.")] = 32,
     unnormalised: Annotated[
         bool,
-        typer.Option("--unnormalised", help="Keep the integrals: do not divide by a lobe's own."),
+        typer.Option(
+            "--unnormalised", help="Store plain integrals, not divided by each lobe's own."
+        ),
     ] = False,
     picture: Annotated[
-        Path | None, typer.Option(metavar="PNG", help="Draw the panorama with its maps.")
+        Path | None, typer.Option(metavar="PNG", help="Also draw the panorama with its maps.")
     ] = None,
     ball: Annotated[
-        Path | None, typer.Option(metavar="PNG", help="Draw a Phong ball in that light.")
+        Path | None, typer.Option(metavar="PNG", help="Also draw a Phong ball in that light.")
     ] = None,
     albedo: Annotated[
-        str, typer.Option(metavar="R,G,B", help="The ball's, linear Rec.709.")
+        str, typer.Option(metavar="R,G,B", help="Albedo of the ball, linear Rec.709.")
     ] = "0.5,0.5,0.5",
     kd: Annotated[float, typer.Option(help="The ball's diffuse coefficient.")] = 1.0,
     ks: Annotated[
@@ -203,10 +205,11 @@ def show(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="A folder that `train` filled.")],
     data: Annotated[Path, typer.Argument(metavar="DATA", help="A dataset with held-out people.")],
     output: Annotated[
-        Path | None, typer.Option("--output", metavar="PICTURE", help="Default: RUN.png.")
+        Path | None,
+        typer.Option("--output", metavar="PICTURE", show_default="RUN.png", help="File to write."),
     ] = None,
 ) -> None:
-    """Draw what a trained run does with people that it has not seen."""
+    """Draw what a trained run makes of people it has not seen."""
     from totalediting.training import showcase
 
     typer.echo(showcase.draw(run, data, output or run.with_name(run.name + ".png")))
@@ -224,7 +227,7 @@ def _print_figures(found: dict[str, dict[str, float]]) -> None:
 def _numbers(
     option: str, text: str, wanted: str, count: int, highest: float = math.inf
 ) -> list[float]:
-    """`count` finite numbers from 0 to `highest`, separated by commas; `wanted` says so."""
+    """`count` finite numbers from 0 to `highest`, separated by commas; `wanted` is the remedy."""
     try:
         numbers = [float(word) for word in text.split(",")]
     except ValueError:
@@ -240,16 +243,16 @@ def _check_outputs(environment: Path, outputs: dict[str, Path]) -> None:
     for option, path in outputs.items():
         suffix = ".exr" if option == "--out" else ".png"
         if path.suffix.lower() != suffix:
-            raise _error(option, path, f"is written as {suffix}; give a name that ends so")
+            raise _error(option, path, f"is written as {suffix}; give a name with that ending")
         if path.is_dir():
             raise _error(option, path, "is a folder; give a file's name")
         folder = path.absolute().parent
         if not folder.is_dir():
             raise _error(option, path, f"there is no folder {folder}; make it first")
         if not os.access(folder, os.W_OK):
-            raise _error(option, path, f"{folder} cannot be written into; give another folder")
+            raise _error(option, path, f"{folder} is not writable; give another folder")
         if path.resolve() in taken:
-            raise _error(option, path, f"is {taken[path.resolve()]} as well; give another name")
+            raise _error(option, path, f"is also {taken[path.resolve()]}; give another name")
         taken[path.resolve()] = f"the file of {option}"
 
 

@@ -46,7 +46,7 @@ class Preset:
     hidden: int
     """Hidden units of the point-wise decoders."""
     features: int
-    """Extra channels w that enter super-resolution beside colour."""
+    """Extra channels w that enter super-resolution along with colour."""
     coarse_samples: int
     """Samples on a ray in the first pass."""
     fine_samples: int
@@ -72,7 +72,7 @@ class Preset:
     rotation: Literal["mls", "surface_field", "none"] = "mls"
     """What turns normals; "none" leaves the canonical ones."""
     decoder: Literal["phong", "plain"] = "phong"
-    """Decomposed shading, or the baseline's one colour that knows no light."""
+    """Decomposed shading, or the baseline's single colour that ignores light."""
     colour: Literal["linear", "srgb"] = "linear"
     """What shading is composed and rendered in; linear light then passes the display curve."""
 

@@ -69,7 +69,7 @@ class PortraitPair(NamedTuple):
     canonical: Tensor
     """(3, S, S) canonical positions in model space; 0 where nothing is."""
     points: Tensor
-    """(5, 2) pixels of side S: eyes, nose, corners of the mouth, see `recognition.five_points`."""
+    """(5, 2) pixels of side S: eyes, nose, corners of the mouth, see `sface.five_points`."""
     app_code: Tensor
     """e_app (54,)"""
     mot_code: Tensor
@@ -127,7 +127,7 @@ class PortraitPairs(EndlessDataset[PortraitPair]):
     ) -> None:
         """Make pairs.
 
-        `relit` adds the motion shot in another environment, in the same where it has but one.
+        `relit` adds the motion shot in another environment, or the same if it has only one.
         `augment` mirrors every second pair, at random, and mixes light, see `light_mixing`. In
         `static` pairs, both shots have one pose: in a video subset they are the same.
 

@@ -71,7 +71,7 @@ class Portraits(EndlessDataset[Portrait]):
         mirror: bool = False,
         mix: bool = False,
     ) -> None:
-        """`mirror` mirrors every second one, at random; `mix` mixes light, see `light_mixing`.
+        """`mirror` mirrors half of them, at random; `mix` mixes light, see `light_mixing`.
 
         Raises:
             InputError: no dataset, one of another format, no such split or subset, an empty one.

@@ -37,7 +37,7 @@ SPLITS = ("train", "validation", "test")
 
 
 class Shots:
-    """The shots of one split, by position; opens files per access and goes to other processes."""
+    """The shots of one split, by position; opens files per access and pickles."""
 
     def __init__(self, folder: Path | str, split: str, subset: str | None = None) -> None:
         """Raises `InputError`: no dataset, another format, no such split or subset, none in it."""
@@ -125,12 +125,12 @@ def camera(meta: dict[str, Any], origin: np.ndarray, side: int) -> tuple[Tensor,
 
 
 def rgb_name(environment: int) -> str:
-    """Under which `read` has a shot's picture in one of its environments."""
+    """The name under which `read` gives a shot's picture in one of its environments."""
     return f"rgb_{environment:02d}"
 
 
 def five_points(meta: dict[str, Any], side: int) -> Tensor:
-    """(5, 2) where a face's five points lie in a picture of `side`, see `recognition`."""
+    """(5, 2) where a face's five points lie in a picture of `side`, see `sface`."""
     scale = side / torch.tensor([meta["camera"]["width"], meta["camera"]["height"]])
     return sface.five_points(torch.tensor(meta["landmarks"]["points"])) * scale
 

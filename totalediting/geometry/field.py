@@ -74,7 +74,7 @@ class Table:
 
     @classmethod
     def of(cls, field: Field, low: Tensor, high: Tensor, resolution: int) -> Table:
-        """`field` at `nodes(low, high, resolution)`, with leading dimensions at will."""
+        """`field` at `nodes(low, high, resolution)`, with any leading dimensions."""
         lead = tuple(field.position.shape[:-2])
         offset = field.position - nodes(low, high, resolution).to(field.position)
         # q and -q are one rotation: to be averaged, all must lie on one side.
@@ -176,7 +176,7 @@ def quaternion_of(moment: Tensor) -> Tensor:
         row.unbind(-1) for row in moment.double().unbind(-2)
     )
     rows = [
-        # The least positive number decides for the identity where there is nothing else.
+        # A tiny positive number makes the identity win where all else is zero.
         [xx + yy + zz + 1e-300, yz - zy, zx - xz, xy - yx],
         [yz - zy, xx - yy - zz, xy + yx, zx + xz],
         [zx - xz, xy + yx, yy - xx - zz, yz + zy],

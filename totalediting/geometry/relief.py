@@ -26,7 +26,7 @@ def texels_of(places: Tensor) -> Tensor:
 def front_and_back(places: Tensor, normals: Tensor, texel: Tensor) -> Tensor:
     """Places (B, 2, n, n) along Y of the foremost and the hindmost skin in each texel.
 
-    Control points at `places` (B, V, 3), with `normals` (B, V, 3), lie in the texels `texel` (B, V).
+    Control points at `places` (B, V, 3), with `normals` (B, V, 3), lie in the `texel` (B, V).
     """
     sides = []
     for towards, pit in _CLOSING.items():

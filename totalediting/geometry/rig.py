@@ -193,7 +193,7 @@ def _axes(tracking: Tracking) -> tuple[Tensor, Tensor, Tensor]:
 def _position(
     box: tuple[Tensor, Tensor], axes: tuple[Tensor, Tensor, Tensor], tracking: Tracking
 ) -> Tensor:
-    """(B, 3) where the camera stands that sees a box so."""
+    """(B, 3) position of the camera that frames a box this way."""
     middle, height = box
     right, up, away = axes
     frame = height / tracking.fill

@@ -139,7 +139,7 @@ def texel_directions(
 
 
 def brute_force(environment: torch.Tensor, directions: torch.Tensor, exponent: int) -> torch.Tensor:
-    """The integral that `bake` stands for, as it is written: slow, exact, to compare with.
+    """The integral that `bake` computes, written out: slow, exact, for comparison.
 
     Sum over all texels of L(l) max(0, d.l)^exponent times their solid angles, not normalised, for
     an environment (..., H, 2H, 3) and unit directions (N, 3) in its frame: (..., N, 3) float64.

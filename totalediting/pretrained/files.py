@@ -1,4 +1,4 @@
-"""Arrays out of files of weights, without running anything that stands in the files.
+"""Arrays from files of weights, without running any code in them.
 
 `read_pickle` is for pickles of nested dictionaries of numpy arrays: an unpickler that knows no
 other names than numpy's three. `read_onnx` takes the stored tensors (initialisers) of an ONNX file

@@ -125,7 +125,7 @@ def train_stage(name: str, settings: RunSettings) -> Figures:
         if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
             raise
         raise InputError(
-            f"{folder}: cannot be written into ({error.strerror}); make room and run the "
+            f"{folder}: cannot be written to ({error.strerror}); free disk space and run the "
             "same command again: training resumes from the last checkpoint"
         ) from None
     for key, reason in stage.skipped.items():

@@ -1,8 +1,8 @@
-"""A page of what a trained run does: sources, result, truth and decomposition of held-out people.
+"""A page of results of a trained run: source, result, truth, decomposition of held-out people.
 
-A row is a pair of pictures of one person who was not trained on, each row of another. The light
-that is given is that of the driver's panorama; "seen light" is what the lightmap estimator makes of
-the driver's picture, in the driver's camera's frame, where the run has one.
+Each row is a pair of pictures of one person held out of training. The model is given the light of
+the driver's panorama; "seen light" is what the run's lightmap estimator, if there is one, finds in
+the driver's picture, in the frame of its camera.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _SPECULAR = 3  # of the lightmaps, the one that is shown: n = 32
 
 
 def load_model(run: Path) -> TotalEditing:
-    """A run's model: the best of the stage `joint`, or of `reconstruct` where that is the last.
+    """A run's model: the best of the stage `joint`, or else of `reconstruct`.
 
     Raises:
         InputError: neither was trained there.

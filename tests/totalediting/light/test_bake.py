@@ -190,11 +190,11 @@ def test_errors_are_one_line(
     assert "maps.jpg: is written as .png" in fails("--picture", tmp_path / "maps.jpg")
     assert f"there is no folder {tmp_path}/no" in fails("--ball", tmp_path / "no" / "ball.png")
     same = ("--picture", tmp_path / "a.png", "--ball", tmp_path / "a.png")
-    assert "a.png: is the file of --picture as well; give another name" in fails(*same)
+    assert "a.png: is also the file of --picture; give another name" in fails(*same)
     (tmp_path / "folder.png").mkdir()
     assert "is a folder; give a file's name" in fails("--ball", tmp_path / "folder.png")
     onto = failure("bake", environment, "--out", environment)
-    assert onto == f"error: --out: {environment}: is the panorama as well; give another name"
+    assert onto == f"error: --out: {environment}: is also the panorama; give another name"
     assert "maps: is written as .exr" in failure("bake", environment, "--out", tmp_path / "maps")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["folder.png", "sky.exr"]
 

@@ -63,7 +63,7 @@ def test_a_full_disk_loses_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
     monkeypatch.setattr(checkpoints, "save_file", full)
     with pytest.raises(
-        InputError, match=r"step 2 cannot be saved .*No space.*step 1 is whole"
+        InputError, match=r"step 2 cannot be saved .*No space.*step 1 is intact"
     ) as e:
         checkpoints.save(tmp_path, checkpoint(2), is_best=True)
     assert "\n" not in str(e.value)
