@@ -10,7 +10,8 @@ from totalediting.errors import InputError
 
 @dataclass(frozen=True)
 class Preset:
-    """What is built. Lengths in pixels or counts; the paper's own figures are those of `full`."""
+    """Sizes and variants of the model. Lengths in pixels or counts; `full` has the paper's
+    figures."""
 
     name: str
     image: int

@@ -136,7 +136,7 @@ def loader(
     """Batches of `batch` samples for one rank, in the order of `Stream`, by `workers` processes.
 
     Without `stop` it never ends; with it, the last batch may be smaller. After k batches the next
-    run starts at start + k · batch · world. Every iteration over it starts anew at `start`.
+    run starts at start + k · batch · world. Every iteration starts again at `start`.
     """
     return DataLoader(
         samples,

@@ -33,7 +33,7 @@ from totalediting.geometry.space import head_centre
 from totalediting.presets import Preset
 
 MIRRORED = " mirrored"
-"""What is added to the key of a mirrored pair."""
+"""Suffix of the key of a mirrored pair."""
 DAMAGE = (ValueError, KeyError, OSError)
 """What a damaged or missing file makes readers raise."""
 

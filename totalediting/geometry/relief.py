@@ -45,7 +45,7 @@ def front_and_back(places: Tensor, normals: Tensor, texel: Tensor) -> Tensor:
 
 
 def _close(picture: Tensor, side: int) -> Tensor:
-    """What is lower than all around it within a square of `side`, raised to that (a closing)."""
+    """Grey-scale closing by a square of `side`: pits narrower than that are filled."""
     grown = functional.max_pool2d(picture, side, 1, side // 2)
     return -functional.max_pool2d(-grown, side, 1, side // 2)
 

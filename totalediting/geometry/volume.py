@@ -276,7 +276,7 @@ def _strata(like: Tensor, count: int, generator: torch.Generator | None) -> Tens
 
 
 def _check(name: str, tensor: Tensor, *shape: int | str) -> None:
-    """Refuse another shape. A word stands for any size, a leading "..." for any sizes before."""
+    """Raise unless the shape fits. A word allows any size, a leading "..." any leading sizes."""
     leading = shape[:1] == ("...",)
     sizes, got = shape[leading:], tuple(tensor.shape)
     extra = len(got) - len(sizes)

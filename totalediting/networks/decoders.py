@@ -59,7 +59,7 @@ ToPosed = Callable[[Tensor], Tensor]
 
 
 class Shading(NamedTuple):
-    """What points look like; colours and directions (B, N, 3). See the module for symbols."""
+    """How points look; colours and directions (B, N, 3). See the module for symbols."""
 
     colour: Tensor
     """c, the sum of diffuse, specular and residual; the residual may make it negative."""

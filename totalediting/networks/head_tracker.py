@@ -32,7 +32,7 @@ from totalediting.pretrained import sface
 _SIDE = 128  # pixels that the network sees along a side
 _WIDTHS = (32, 64, 128, 256)
 _FINE, _COARSE = 16, 4  # cells along a side of the maps: points are found on the fine ones
-_FACE = 64  # pixels along a side of the face laid out
+_FACE = 64  # pixels along a side of the straightened face
 _FACE_WIDTHS = (24, 24, 48, 96)
 _FACE_FEATURES = 128
 _SOURCES = {  # what a field is read from: the whole picture, the straightened face, or both
@@ -150,7 +150,8 @@ class HeadTracker(nn.Module):
 
     def lay_out(self, image: Tensor, face: Tensor) -> Tensor:
         """Faces (B, 3, 64, 64) in [-1, 1], turned and scaled so that the points `face` (B, 10) of
-        pictures (B, 3, H, H) in [0, 1] lie where ArcFace has them; the border goes on outwards.
+        pictures (B, 3, H, H) in [0, 1] lie where ArcFace has them; beyond the border, its pixels
+        are repeated.
 
         The similarity from face to picture is the best by least squares. With complex numbers t of
         the template about its mean and z of the points, it is sum conj(t) z / sum |t|^2. Unlike

@@ -32,11 +32,11 @@ JITTER = 2.4e-3
 box's side, as in EG3D."""
 
 Deformation = Callable[[Tensor], Field]
-"""T and R at points (B, P, 3) of posed space: a `field.Table`, or anything else called so."""
+"""T and R at points (B, P, 3) of posed space: a `field.Table`, or any other callable like it."""
 
 
 class Rendering(NamedTuple):
-    """What is seen, (B, channels, h, w), and what losses need of the samples that it was seen by.
+    """Pictures (B, channels, h, w), and what losses need of the samples behind them.
 
     All pictures but opacity and depth are premultiplied by the opacity: nothing seen is 0.
     """
@@ -174,7 +174,7 @@ def render(
 
 
 Geometry = Callable[[Tensor, Tensor], Tensor]
-"""A `GeometryDecoder`, or anything called so."""
+"""A `GeometryDecoder`, or any other callable like it."""
 
 
 def density(planes: Tensor, laid: Tensor, geometry: Geometry, points: Tensor) -> Tensor:

@@ -36,7 +36,7 @@ _QUIET = 30.0  # seconds at most, or 50 steps, between lines of progress
 
 @dataclass(frozen=True)
 class Machine:
-    """What is trained on."""
+    """The hardware to train on."""
 
     device: str = "cpu"
     """cpu, cuda or mps."""
@@ -179,7 +179,7 @@ def train(
     if (found := checkpoints.latest(run)) is not None:
         judged, first = found.facts["figures"], found.step
         lowest = found.facts["lowest"]
-        if found.facts["best"]:  # it may have been killed before it said so
+        if found.facts["best"]:  # it may have been killed before it recorded that
             checkpoints.mark_best(run, first)
     training = Training(fabric, stage, schedule, seed, machine.precision != "32-true", found)
     progress = _Log(run, first, schedule.steps, fabric.is_global_zero)
@@ -267,7 +267,7 @@ class _Log:
         from torch.utils.tensorboard import SummaryWriter
 
         self.path = run / "losses.jsonl"
-        # What was logged after the checkpoint is made again.
+        # Steps after the checkpoint are made, and logged, again.
         lines = self.path.read_text().splitlines() if self.path.exists() else []
         kept = [line for line in lines if line.endswith("}") and json.loads(line)["step"] < first]
         with replacing(self.path) as temporary:

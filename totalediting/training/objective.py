@@ -23,14 +23,14 @@ _TV_POINTS, _NORMAL_POINTS = 1000, 4096
 
 
 class Truth(NamedTuple):
-    """What is known of the picture that an edit should be."""
+    """Ground truth of an edit."""
 
     image: Tensor
     """(B, 3, S, S), I*."""
     alpha: Tensor
     """(B, 1, S, S) coverage; 1 where it is not known."""
     matted: Tensor
-    """(B,) bool: whether it is."""
+    """(B,) bool: whether the coverage is known."""
     normal: Tensor
     """(B, 3, S, S) unit, model space; 0 where unknown."""
     albedo: Tensor | None
@@ -51,7 +51,7 @@ class Truth(NamedTuple):
 
 
 def truth_of(batch: PortraitPair) -> Truth:
-    """All that is known of synthetic pictures."""
+    """The ground truth of synthetic pictures."""
     matted = torch.ones(len(batch.alpha), dtype=torch.bool, device=batch.alpha.device)
     return Truth(batch.mot_image, batch.alpha, matted, batch.normal, batch.albedo, batch.canonical)
 

@@ -38,7 +38,7 @@ Figures = dict[str, float]
 
 @dataclass(frozen=True)
 class RunSettings:
-    """What is trained on, where, and how: the same for every stage of a run."""
+    """Data, place and manner of training: the same for every stage of a run."""
 
     data: Path
     run: Path

@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from totalediting.presets import Preset
 
 Loss = tuple[Tensor, dict[str, float]]
-"""What is minimised, a scalar, and what is logged of it, by snake_case name."""
+"""The scalar to minimise, and figures of it to log, by snake_case name."""
 
 
 @dataclass(frozen=True)
@@ -25,8 +25,8 @@ class RealVideo:
     share: float = 0.5
     """Share of the steps that use them: 0 trains on synthetic data alone, 1 on real data alone."""
     light: Literal["random", "same", "consistent"] = "random"
-    """What the estimator sees: another frame of the clip, which tells nothing about the target (the
-    paper's), the target itself, or the target, held by L1 to what it sees in another frame."""
+    """What the estimator sees: another frame of the clip, which gives nothing of the target away
+    (the paper's), the target itself, or the target, held by L1 to what it sees in another frame."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class Stage(ABC):
     the loop seeds in every step."""
 
     network: nn.Module
-    """What is trained."""
+    """The network to train."""
 
     @abstractmethod
     def batches(self, first: int, size: int, rank: int, ranks: int) -> Iterator[Any]:

@@ -83,7 +83,7 @@ STAGES: dict[str, StageSpec] = {
 
 
 def waves() -> Iterator[tuple[str, ...]]:
-    """Names of the stages in training order; those of one wave need nothing of each other.
+    """Names of the stages in training order; those of one wave do not need each other.
 
     Raises:
         graphlib.CycleError: stages need each other.
