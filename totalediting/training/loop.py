@@ -288,7 +288,11 @@ class _Log:
             left = (now - self.start) / done * (self.steps - step - 1)
             log.info(
                 "%s: step %s of %s, loss %.4f, %s left",
-                *(self.stage, f"{step + 1:,}", f"{self.steps:,}", values["loss"], duration(left)),
+                self.stage,
+                f"{step + 1:,}",
+                f"{self.steps:,}",
+                values["loss"],
+                duration(left),
             )
 
     def validation(self, step: int, validation: Validation) -> None:

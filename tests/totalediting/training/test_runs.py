@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import os
+import re
 import signal
 import subprocess
 import sys
 import time
 from graphlib import CycleError
+from pathlib import Path
 
 import pytest
 import torch
@@ -18,11 +20,12 @@ from totalediting.training import runs, stages
 from totalediting.training.loop import fastest_precision
 
 PARENT = """
-import multiprocessing, os, time
+import logging, multiprocessing, os, time
 from totalediting.training import runs
 
 def child(parent):
     runs._begin_process(1)
+    logging.getLogger("totalediting.training").info("it began")
     parent.send(os.getpid())
     time.sleep(600)
 
@@ -52,6 +55,11 @@ def test_stages_that_need_each_other_are_refused(monkeypatch: pytest.MonkeyPatch
         list(stages.waves())
 
 
+def test_the_documentation_has_every_stage() -> None:
+    page = (Path(__file__).parents[3] / "docs" / "model.md").read_text()
+    assert set(re.findall(r"^\| `(\w+)` \|", page, re.MULTILINE)) == set(stages.STAGES)
+
+
 def test_naming_the_stages_imports_no_torch() -> None:
     code = "import sys, totalediting.training.stages; sys.exit('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
@@ -60,10 +68,11 @@ def test_naming_the_stages_imports_no_torch() -> None:
 def test_a_training_process_does_not_outlive_its_parent() -> None:
     """Else a killed run that is resumed would have two writers."""
     with subprocess.Popen(
-        [sys.executable, "-c", PARENT], stdout=subprocess.PIPE, text=True
+        [sys.executable, "-c", PARENT], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as parent:
-        assert parent.stdout is not None
+        assert parent.stdout is not None and parent.stderr is not None
         child = int(parent.stdout.readline())
+        assert parent.stderr.readline() == "it began\n", "it shows what libraries log"
         os.kill(child, 0)
         parent.send_signal(signal.SIGKILL)
     for _ in range(100):
