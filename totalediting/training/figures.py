@@ -42,8 +42,9 @@ _NAMES = {figure.former: name for name, figure in FIGURES.items() if figure.form
 
 
 def with_current_names(figures: dict[str, float]) -> dict[str, float]:
-    """Figures of a checkpoint of any version under today's names."""
-    return {_NAMES.get(name, name): value for name, value in figures.items()}
+    """Figures of a checkpoint of any version under today's names, in the order of `FIGURES`."""
+    named = {_NAMES.get(name, name): value for name, value in figures.items()}
+    return {name: named[name] for name in (*FIGURES, *named) if name in named}
 
 
 def label(name: str) -> str:
