@@ -13,7 +13,7 @@ import toy_training
 from toy_training import SCHEDULE, Line
 
 from totalediting.errors import InputError
-from totalediting.training import checkpoints
+from totalediting.training import checkpoints, loop
 from totalediting.training.loop import learning_rate, paced, train
 
 FACTS = {"data": "line"}
@@ -43,6 +43,17 @@ def test_it_learns(uninterrupted: Path) -> None:
     assert len(curve) == SCHEDULE.steps
     assert sum(curve[-10:]) < 0.2 * sum(curve[:10])
     assert list((uninterrupted / "tensorboard").iterdir())
+
+
+def test_a_step_by_itself_is_the_one_of_training(uninterrupted: Path) -> None:
+    stage = Line()
+    training = loop.Training(loop.launch(loop.Machine()), stage, SCHEDULE)
+    parts: list[str] = []
+    for (number, loss), batch in zip(
+        losses(uninterrupted)[:3], stage.batches(0, 8, 0, 1), strict=False
+    ):
+        assert loop.step(training, batch, number, parts.append).loss == loss
+    assert parts == 3 * ["forward", "backward", "update"]
 
 
 def test_in_pieces_it_is_the_same_to_the_bit(uninterrupted: Path, tmp_path: Path) -> None:
