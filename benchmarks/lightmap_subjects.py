@@ -20,14 +20,15 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from totalediting.data.endless import Numbered
+from totalediting.data.endless import EndlessDataset
 from totalediting.data.portraits import Portrait, Portraits
 from totalediting.presets import PRESETS
-from totalediting.training import loop, stages
-from totalediting.training.stages import LightmapStage
+from totalediting.training import loop
+from totalediting.training.lightmaps import LightmapStage
+from totalediting.training.stages import STAGES
 
 
-class FirstPeople(Numbered[Portrait]):
+class FirstPeople(EndlessDataset[Portrait]):
     """The portraits of the first `count` people of others."""
 
     def __init__(self, of: Portraits, count: int, seed: int = 0) -> None:
@@ -53,19 +54,21 @@ def main() -> None:
     preset = PRESETS["tiny"]
     device = arguments.device
     machine = loop.Machine(device, precision=loop.fastest_precision(device))
-    schedule = replace(stages.SCHEDULES["lightmaps"], steps=arguments.steps, save_every=10**9)
+    schedule = replace(STAGES["lightmaps"].schedule, steps=arguments.steps, save_every=10**9)
     print("| people | pictures | training loss | light / mean light | dominant light | normals |")
     print("|---|---|---|---|---|---|")
     for count in map(int, arguments.subjects.split(",")):
         stage = LightmapStage(arguments.data, preset, seed=0)
         people = FirstPeople(stage.train, count)
         stage.train = people  # pyright: ignore[reportAttributeAccessIssue]
-        stage.judge_by(arguments.unseen, "test")
+        stage.validate_on(arguments.unseen, "test")
         with tempfile.TemporaryDirectory() as folder:
             found = loop.train(stage, Path(folder), schedule, 0, {}, machine)
             lines = (Path(folder) / "losses.jsonl").read_text().splitlines()[-100:]
         loss = np.mean([json.loads(line)["loss"] for line in lines])
-        light, angle, normal = found.values()
+        light, angle, normal = (
+            found[f"{name}_error"] for name in ("relative_light", "dominant_light", "normal")
+        )
         row = (count, len(people), f"{loss:.3f}", f"{light:.3f}", f"{angle:.0f}°", f"{normal:.1f}°")
         print(f"| {' | '.join(map(str, row))} |", flush=True)
 

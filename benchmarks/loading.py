@@ -19,7 +19,7 @@ from pathlib import Path
 import torch
 
 from synthgen.dataset import open_dataset
-from totalediting.data.endless import Numbered, loader
+from totalediting.data.endless import EndlessDataset, loader
 from totalediting.data.pairs import PortraitPairs
 from totalediting.data.portraits import Portraits
 from totalediting.presets import PRESETS
@@ -38,7 +38,7 @@ def main() -> None:
     folder, preset = arguments.dataset, PRESETS[arguments.preset]
 
     print("| what | this process | 1 worker | 2 workers |\n|---|---|---|---|")
-    kinds: dict[str, Numbered] = {
+    kinds: dict[str, EndlessDataset] = {
         "pairs": PortraitPairs(folder, preset, arguments.split),
         "pairs, relit": PortraitPairs(folder, preset, arguments.split, relit=True),
         "portraits": Portraits(folder, preset, arguments.split),

@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 
 from totalediting.data.endless import loader
-from totalediting.data.pairs import PortraitPairs, Sample
+from totalediting.data.pairs import PortraitPair, PortraitPairs
 from totalediting.geometry.frontal import frontalise
 from totalediting.model import TotalEditing
 from totalediting.pretrained.fetch import NetworkError
@@ -68,7 +68,7 @@ def mean_picture(data: Path, model: TotalEditing) -> Tensor:
     return total / min(256, len(pairs))
 
 
-def relit(batch: Sample) -> Sample:
+def relit(batch: PortraitPair) -> PortraitPair:
     """The motion shot as its own source, to be shown in its other light."""
     assert batch.relit is not None
     frontal = frontalise(batch.mot_image, batch.control, batch.camera_to_world, batch.intrinsics)

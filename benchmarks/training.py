@@ -7,12 +7,12 @@ Every preset and stage has a process of its own, so that its memory peak is its 
 process's resident set, imports included, on a GPU the allocator's. Weights are fresh. Steps are
 numbered from the middle of the stage's schedule, where all terms of the loss count; times are
 medians over steps after two that warm up, so that what comes once in 16 steps (R_TV, R1) is not in
-them. A step waits for its batch from one worker, as `totalediting train` does, and ends with the
-optimiser's; the moving average of the weights is left out. "a sample" is what making one takes
-without a worker. Time by piece is from further steps with hooks: nested pieces do not count twice,
-"volume rendering" is what is left of the model's forward, "losses" what is left of the loss. A
-piece's backward is from the gradient of its output to that of its last parameter. What is measured
-holds for the number of threads that is printed; OMP_NUM_THREADS sets it.
+them. A step is that of `totalediting train`: it waits for its batch from one worker and ends with
+the moving average of the weights. "a sample" is what making one takes without a worker. Time by
+piece is from further steps with hooks: nested pieces do not count twice, "volume rendering" is what
+is left of the model's forward, "losses" what is left of the loss. A piece's backward is from the
+gradient of its output to that of its last parameter. What is measured holds for the number of
+threads that is printed; OMP_NUM_THREADS sets it.
 """
 
 from __future__ import annotations
@@ -38,7 +38,9 @@ from torch import Tensor, nn
 from totalediting.data.endless import to_device
 from totalediting.errors import InputError
 from totalediting.presets import PRESETS
-from totalediting.training import stages
+from totalediting.training import loop, runs
+from totalediting.training.stage import StageSettings
+from totalediting.training.stages import STAGES
 
 WARM = 2  # steps
 SAMPLES = 8  # that are made to time one
@@ -178,15 +180,16 @@ def measure(
     name: str, data: Path, preset: str, batch: int, steps: int, device: str, compiled: bool
 ) -> Found:
     """One stage in this process; with `compiled`, its step and memory alone."""
-    place, schedule = torch.device(device), stages.SCHEDULES[name]
+    place, schedule = torch.device(device), STAGES[name].schedule
     torch.manual_seed(0)
-    stage: Any = stages.make(name, data, PRESETS[preset], 0, 1, schedule.steps)
-    stage.network.to(place).train()
-    network: Any = torch.compile(stage.network) if compiled else stage.network
-    optimiser = torch.optim.AdamW(stage.network.parameters(), schedule.learning_rate)
+    settings = StageSettings(data, PRESETS[preset], Path(), schedule.steps, workers=1)
+    stage: Any = runs.build(name, settings)
+    training = loop.Training(loop.launch(loop.Machine(device)), stage, schedule)
+    if compiled:
+        training.network = torch.compile(training.network)  # pyright: ignore[reportAttributeAccessIssue]
     timeline = Timeline(place)
     first = schedule.steps // 2
-    run = partial(one_step, stage, network, optimiser, schedule.clip, timeline)
+    run = partial(one_step, training, timeline)
     batches = stage.batches(first, batch, 0, 1)
     if place.type == "cuda":
         torch.cuda.reset_peak_memory_stats()
@@ -199,7 +202,7 @@ def measure(
         step=statistics.median(sum(times.values()) for times in plain),
         sample=0.0,
         memory=peak(device),
-        notes=[f"without {t}: {reason}" for t, reason in getattr(stage, "off", {}).items()],
+        notes=[f"without {term}: {reason}" for term, reason in stage.off.items()],
     )
     if compiled:
         return found
@@ -217,29 +220,23 @@ def measure(
 
 
 def one_step(
-    stage: Any,
-    network: nn.Module,
-    optimiser: torch.optim.Optimizer,
-    clip: float,
-    timeline: Timeline,
-    batches: Iterator[Any],
-    step: int,
+    training: loop.Training, timeline: Timeline, batches: Iterator[Any], step: int
 ) -> dict[tuple[str, bool], float]:
-    """A step as in `totalediting.training.loop`; its seconds by piece."""
-    torch.manual_seed(step)
+    """A step of training; its seconds by piece."""
+
+    def done(part: loop.Part) -> None:
+        if part == "forward":
+            timeline.mark(LOSSES)
+        elif part == "backward":
+            timeline.mark(timeline.stack[-1])
+        else:
+            timeline.mark(OPTIMISER)
+        timeline.backward = part == "forward"
+
     timeline.start()
-    batch = to_device(next(batches), next(stage.network.parameters()).device)
+    batch = to_device(next(batches), training.fabric.device)
     timeline.mark(DATA)
-    loss, _ = stage.loss(network, batch, step)
-    timeline.mark(LOSSES)
-    timeline.backward = True
-    optimiser.zero_grad()
-    loss.backward()
-    timeline.mark(timeline.stack[-1])
-    timeline.backward = False
-    nn.utils.clip_grad_norm_(stage.network.parameters(), clip)
-    optimiser.step()
-    timeline.mark(OPTIMISER)
+    loop.step(training, batch, step, done)
     return timeline.seconds()
 
 
@@ -276,13 +273,13 @@ def print_table(header: list[str], rows: list[list[str]], markdown: bool) -> Non
 def chosen(option: str, text: str, choices: tuple[str, ...]) -> list[str]:
     for word in text.split(","):
         if word not in choices:
-            raise InputError(f"{option}: {word}: choose of {', '.join(choices)}")
+            raise InputError(f"{option}: {word}: choose one of {', '.join(choices)}")
     return text.split(",")
 
 
 def benchmark(options: argparse.Namespace) -> None:
     presets = chosen("--presets", options.presets, tuple(PRESETS))
-    names = chosen("--stages", options.stages, stages.STAGES)
+    names = chosen("--stages", options.stages, tuple(STAGES))
     if options.steps < 1:
         raise InputError(f"--steps: {options.steps}: give 1 at least")
     if options.batch is not None and options.batch < 1:
@@ -293,7 +290,7 @@ def benchmark(options: argparse.Namespace) -> None:
     whole, pieces, notes = [], [], []
     for preset in presets:
         for name in names:
-            batch = options.batch or stages.SCHEDULES[name].batch
+            batch = options.batch or STAGES[name].schedule.batch
             arguments = (name, options.data, preset, batch, options.steps, options.device)
             print(f"{preset}, {name} …", file=sys.stderr, flush=True)
             found = alone(*arguments, False)
@@ -355,7 +352,7 @@ def main() -> int:
     )
     parser.add_argument("data", type=Path, metavar="DATASET")
     parser.add_argument("--presets", default="tiny", help="of tiny, small and full; with commas")
-    parser.add_argument("--stages", default=",".join(stages.STAGES))
+    parser.add_argument("--stages", default=",".join(STAGES))
     parser.add_argument("--steps", type=int, default=5, help="that are timed; two more warm up")
     parser.add_argument("--batch", type=int, help="default: the stage's own")
     parser.add_argument("--device", default="cpu", choices=("cpu", "cuda"))

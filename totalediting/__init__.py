@@ -1,1 +1,27 @@
-"""What is learnt: the portrait model that trains on the emitted shards."""
+"""What is learnt: the portrait model that trains on rendered datasets.
+
+What `__all__` names is public and imported when first used, so that `import totalediting` is quick;
+the light and motion modules under `totalediting.light` and `totalediting.geometry` are public too.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from totalediting.light.lightmaps import bake
+
+__all__ = ["bake"]
+
+_HOMES = {"bake": "totalediting.light.lightmaps"}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_HOMES[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

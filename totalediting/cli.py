@@ -5,19 +5,26 @@ from __future__ import annotations
 import math
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from assets_procedural.conventions.command_line import run
 from totalediting.errors import InputError
-from totalediting.presets import preset_with
+from totalediting.presets import PRESETS, preset_with
+from totalediting.training.stages import STAGES
 
 if TYPE_CHECKING:
     import torch
 
+    StageName = PresetName = str
+else:  # Typer reads the choices off the types
+    StageName, PresetName = Literal[(*STAGES, "all")], Literal[tuple(PRESETS)]
+
+Device = Literal["cpu", "cuda"]
+
 app = typer.Typer(
-    help="Edit portraits: appearance, motion and light of a head apart from each other.",
+    help="Edit portraits: appearance, motion and light of a head, each by itself.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -36,20 +43,22 @@ def bake(
     environment: Annotated[
         Path, typer.Argument(metavar="ENV.exr", help="An equirectangular .exr or .hdr panorama.")
     ],
-    out: Annotated[Path, typer.Option("--out", metavar="MAPS.exr", help="Where the maps go.")],
+    out: Annotated[Path, typer.Option("--out", metavar="MAPS.exr", help="File to write.")],
     size: Annotated[int, typer.Option(help="Height of a map in pixels; it is twice as wide.")] = 32,
     unnormalised: Annotated[
         bool,
-        typer.Option("--unnormalised", help="Keep the integrals: do not divide by a lobe's own."),
+        typer.Option(
+            "--unnormalised", help="Store plain integrals, not divided by each lobe's own."
+        ),
     ] = False,
     picture: Annotated[
-        Path | None, typer.Option(metavar="PNG", help="Draw the panorama with its maps.")
+        Path | None, typer.Option(metavar="PNG", help="Also draw the panorama with its maps.")
     ] = None,
     ball: Annotated[
-        Path | None, typer.Option(metavar="PNG", help="Draw a Phong ball in that light.")
+        Path | None, typer.Option(metavar="PNG", help="Also draw a Phong ball in that light.")
     ] = None,
     albedo: Annotated[
-        str, typer.Option(metavar="R,G,B", help="The ball's, linear Rec.709.")
+        str, typer.Option(metavar="R,G,B", help="Albedo of the ball, linear Rec.709.")
     ] = "0.5,0.5,0.5",
     kd: Annotated[float, typer.Option(help="The ball's diffuse coefficient.")] = 1.0,
     ks: Annotated[
@@ -58,7 +67,7 @@ def bake(
             metavar="A,B,C,D", help="The ball's specular coefficients, for shininess 1, 16, 32, 64."
         ),
     ] = "0,0,0.2,0",
-    device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
+    device: Annotated[Device, typer.Option(help="Where to compute.")] = "cpu",
 ) -> None:
     """Pre-filter a panorama into the five lightmaps that a portrait is lit with."""
     if not MAP_ROWS[0] <= size <= MAP_ROWS[1]:
@@ -93,24 +102,29 @@ def bake(
 @app.command()
 def train(
     stage: Annotated[
-        str, typer.Argument(metavar="STAGE", help="tracker, lightmaps, reconstruct, joint or all.")
+        StageName, typer.Argument(metavar="STAGE", help="Which stage, or all of them.")
     ],
-    data: Annotated[Path, typer.Argument(metavar="DATA", help="A dataset that synthgen rendered.")],
-    out: Annotated[Path, typer.Option("--out", metavar="RUN", help="Where the run goes.")],
-    preset: Annotated[str, typer.Option(help="tiny, small or full.")] = "tiny",
+    data: Annotated[
+        Path, typer.Argument(metavar="DATA", help="A dataset rendered by `synthgen render`.")
+    ],
+    out: Annotated[Path, typer.Option("--out", metavar="RUN", help="Folder of the run.")],
+    preset: Annotated[PresetName, typer.Option(help="Size of the model.")] = "tiny",
     steps: Annotated[
-        int | None, typer.Option(min=1, help="Steps in all; default: the stage's own.")
+        int | None, typer.Option(min=1, show_default="the stage's own", help="Steps in all.")
     ] = None,
-    batch: Annotated[int | None, typer.Option(min=1, help="Samples of a step.")] = None,
+    batch: Annotated[
+        int | None, typer.Option(min=1, show_default="the stage's own", help="Samples per step.")
+    ] = None,
     learning_rate: Annotated[
-        float | None, typer.Option(help="At its height; default: the stage's own.")
+        float | None, typer.Option(show_default="the stage's own", help="Its peak.")
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="All randomness comes from it.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of all randomness.")] = 0,
     workers: Annotated[int, typer.Option(min=0, help="Processes that read data.")] = 1,
-    device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
-    devices: Annotated[int, typer.Option(min=1, help="How many of them.")] = 1,
+    device: Annotated[Device, typer.Option(help="Where to train.")] = "cpu",
+    devices: Annotated[int, typer.Option(min=1, help="Number of devices.")] = 1,
     precision: Annotated[
-        str, typer.Option(help="32-true, bf16-mixed or auto: the faster one here.")
+        Literal["32-true", "bf16-mixed", "auto"],
+        typer.Option(help="Single precision, bfloat16, or whichever is faster here."),
     ] = "32-true",
     switches: Annotated[
         list[str] | None,
@@ -119,37 +133,42 @@ def train(
         ),
     ] = None,
     clips: Annotated[
-        Path | None, typer.Option(metavar="FOLDER", help="Real videos or frames, for joint.")
+        Path | None,
+        typer.Option(metavar="FOLDER", help="Real videos or frames for the stage joint."),
     ] = None,
     real_share: Annotated[
-        float, typer.Option(help="Share of joint's steps on them: 1 is real data alone.")
+        float, typer.Option(help="Share of joint's steps on real clips; 1 is real data alone.")
     ] = 0.5,
     real_light: Annotated[
-        str, typer.Option(help="Their light is seen in another frame (random), same or consistent.")
+        Literal["random", "same", "consistent"],
+        typer.Option(
+            help="Frame that a clip's light is estimated from: another one, the target, or the "
+            "target, held to what another one shows."
+        ),
     ] = "random",
 ) -> None:
-    """Train one stage of the model, or all. Running the same command again resumes."""
-    names = ("tracker", "lightmaps", "reconstruct", "joint")
-    _choice("STAGE", stage, (*names, "all"))
+    """Train one stage of the model, or all of them. Run the same command again to resume."""
     preset_with(preset, switches or [])
-    _choice("--precision", precision, ("32-true", "bf16-mixed", "auto"))
-    _choice("--real-light", real_light, ("random", "same", "consistent"))
     if not 0 <= real_share <= 1:
-        raise _error("--real-share", real_share, "give a number from 0 to 1, as 0.5")
+        raise _error("--real-share", real_share, "give a number from 0 to 1, such as 0.5")
     if learning_rate is not None and not 0 < learning_rate < 1:
-        raise _error("--learning-rate", learning_rate, "give a number between 0 and 1, as 4e-4")
+        raise _error("--learning-rate", learning_rate, "give a number from 0 to 1, such as 4e-4")
     if batch is not None and batch % devices:
         raise _error("--batch", batch, f"give a multiple of the {devices} devices")
     _device(device, devices)
 
     from totalediting.training import loop, runs
+    from totalediting.training.stage import RealVideo
 
     given = {"steps": steps, "batch": batch, "learning_rate": learning_rate}
     fastest = loop.fastest_precision(device)
-    precision = fastest if precision == "auto" else precision
-    if precision == "bf16-mixed" and fastest == "32-true":
-        slow = "this processor emulates bfloat16, which takes many times as long; auto is faster"
-        typer.echo(f"--precision: {precision}: {slow}", err=True)
+    chosen = fastest if precision == "auto" else precision
+    if chosen == "bf16-mixed" and fastest == "32-true":
+        typer.echo(
+            f"--precision: {chosen}: this processor emulates bfloat16, many times slower than "
+            "single precision; auto is faster",
+            err=True,
+        )
     settings = runs.RunSettings(
         data=data,
         run=out,
@@ -158,29 +177,27 @@ def train(
         schedule={name: value for name, value in given.items() if value is not None},
         seed=seed,
         workers=workers,
-        machine=loop.Machine(device, devices, precision),  # pyright: ignore[reportArgumentType]
-        clips=clips,
-        real_share=real_share,
-        real_light=real_light,
+        machine=loop.Machine(device, devices, chosen),
+        real=None if clips is None else RealVideo(clips, real_share, real_light),
     )
     if stage == "all":
-        runs.train_all(settings)
+        _print_figures(runs.train_all(settings))
     else:
-        runs.train_stage(stage, settings)
+        _print_figures({stage: runs.train_stage(stage, settings)})
 
 
 @app.command()
 def evaluate(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="A folder that `train` filled.")],
     data: Annotated[Path, typer.Argument(metavar="DATA", help="A dataset with held-out people.")],
-    split: Annotated[str, typer.Option(help="train, validation or test.")] = "test",
+    split: Annotated[
+        Literal["train", "validation", "test"], typer.Option(help="People to measure on.")
+    ] = "test",
 ) -> None:
     """Measure every stage of a trained run on a split of a dataset."""
-    from totalediting.training.stages import evaluate as measure
+    from totalediting.training import runs
 
-    for stage, figures in measure(run, data, split).items():
-        for name, value in figures.items():
-            typer.echo(f"{stage}: {name}: {value:.4g}")
+    _print_figures(runs.evaluate(run, data, split))
 
 
 @app.command()
@@ -188,24 +205,29 @@ def show(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="A folder that `train` filled.")],
     data: Annotated[Path, typer.Argument(metavar="DATA", help="A dataset with held-out people.")],
     output: Annotated[
-        Path | None, typer.Option("--output", metavar="PICTURE", help="Default: RUN.png.")
+        Path | None,
+        typer.Option("--output", metavar="PICTURE", show_default="RUN.png", help="File to write."),
     ] = None,
 ) -> None:
-    """Draw what a trained run does with people that it has not seen."""
+    """Draw what a trained run makes of people it has not seen."""
     from totalediting.training import showcase
 
     typer.echo(showcase.draw(run, data, output or run.with_name(run.name + ".png")))
 
 
-def _choice(option: str, value: str, choices: tuple[str, ...]) -> None:
-    if value not in choices:
-        raise _error(option, value, f"choose {', '.join(choices[:-1])} or {choices[-1]}")
+def _print_figures(found: dict[str, dict[str, float]]) -> None:
+    """Figures by stage, one a line."""
+    from totalediting.training import figures
+
+    for stage, values in found.items():
+        for name, value in values.items():
+            typer.echo(f"{stage}: {figures.label(name)}: {figures.shown(name, value)}")
 
 
 def _numbers(
     option: str, text: str, wanted: str, count: int, highest: float = math.inf
 ) -> list[float]:
-    """`count` finite numbers from 0 to `highest`, separated by commas; `wanted` says so."""
+    """`count` finite numbers from 0 to `highest`, separated by commas; `wanted` is the remedy."""
     try:
         numbers = [float(word) for word in text.split(",")]
     except ValueError:
@@ -221,22 +243,20 @@ def _check_outputs(environment: Path, outputs: dict[str, Path]) -> None:
     for option, path in outputs.items():
         suffix = ".exr" if option == "--out" else ".png"
         if path.suffix.lower() != suffix:
-            raise _error(option, path, f"is written as {suffix}; give a name that ends so")
+            raise _error(option, path, f"is written as {suffix}; give a name with that ending")
         if path.is_dir():
             raise _error(option, path, "is a folder; give a file's name")
         folder = path.absolute().parent
         if not folder.is_dir():
             raise _error(option, path, f"there is no folder {folder}; make it first")
         if not os.access(folder, os.W_OK):
-            raise _error(option, path, f"{folder} cannot be written into; give another folder")
+            raise _error(option, path, f"{folder} is not writable; give another folder")
         if path.resolve() in taken:
-            raise _error(option, path, f"is {taken[path.resolve()]} as well; give another name")
+            raise _error(option, path, f"is also {taken[path.resolve()]}; give another name")
         taken[path.resolve()] = f"the file of {option}"
 
 
-def _device(name: str, count: int = 1) -> torch.device:
-    if name not in ("cpu", "cuda"):
-        raise _error("--device", name, "choose cpu or cuda")
+def _device(name: Device, count: int = 1) -> torch.device:
     import torch
 
     if name == "cuda" and not torch.cuda.is_available():

@@ -47,7 +47,7 @@ class Planes(NamedTuple):
 
 
 class Edit(NamedTuple):
-    """The result, and what it came from."""
+    """The result, and what it was made from."""
 
     image: Tensor
     """(B, 3, S, S), display-referred; in [0, 1] in evaluation."""
@@ -76,7 +76,7 @@ class TotalEditing(nn.Module):
     """The model; its `forward` is the paper's figure 2."""
 
     def __init__(self, preset: Preset, faces: Tensor | None = None) -> None:
-        """`faces` (F, 3), triangles of the bust's control points: for the surface field alone.
+        """`faces` (F, 3), triangles of the bust's control points: only for the surface field.
 
         Raises:
             ValueError: the preset takes the surface field, and there are no faces.
@@ -121,12 +121,12 @@ class TotalEditing(nn.Module):
                 `deformation` makes of it; None where it is at rest.
             camera_to_world: (B, 4, 4) into model space.
             intrinsics: (B, 3, 3) in pixels of side S.
-            lightmaps: (B, 5, 3, H, 2H), normalised, exposed as the result shall be.
+            lightmaps: (B, 5, 3, H, 2H), normalised, exposed as the result should be.
             to_light: (B, 3, 3) rotation of model space into the lightmaps' frame; None if it is
                 their own.
             background: (B, 3 + features, h, h) behind the subject; None for that of I_app.
             generator: scatters the samples of training.
-            window: the part of the picture that is wanted; None for all of it.
+            window: the part of the picture to render; None for all of it.
 
         Raises:
             ValueError: a shape does not fit.
@@ -209,7 +209,7 @@ class TotalEditing(nn.Module):
 
         def one(name: str, points: Tensor) -> Field:
             if name == "surface_field":
-                assert self.faces is not None  # seen to by the constructor
+                assert self.faces is not None  # the constructor checks it
                 return surface_field(points, control, self.faces.to(points.device))
             return moving_least_squares.mls(
                 points, control, preset.alpha, clusters=moving_least_squares.CLUSTERS
@@ -223,4 +223,6 @@ class TotalEditing(nn.Module):
 
         low, high = box(control.posed)
         with torch.autocast(low.device.type, enabled=False):
-            return tabulate(field, low, high, preset.field, lead=control.posed.shape[:-2])
+            return tabulate(
+                field, low, high, preset.deformation_nodes, lead=control.posed.shape[:-2]
+            )

@@ -10,7 +10,8 @@ from totalediting.errors import InputError
 
 @dataclass(frozen=True)
 class Preset:
-    """What is built. Lengths in pixels or counts; the paper's own figures are those of `full`."""
+    """Sizes and variants of the model. Lengths in pixels or counts; `full` has the paper's
+    figures."""
 
     name: str
     image: int
@@ -46,7 +47,7 @@ class Preset:
     hidden: int
     """Hidden units of the point-wise decoders."""
     features: int
-    """Extra channels w that enter super-resolution beside colour."""
+    """Extra channels w that enter super-resolution along with colour."""
     coarse_samples: int
     """Samples on a ray in the first pass."""
     fine_samples: int
@@ -65,16 +66,16 @@ class Preset:
 
     alpha: float = 2.0
     """Fall-off of moving least squares; the paper's 1 is ten times farther from real necks."""
-    field: int = 32
-    """Nodes along an axis of the deformation's table."""
+    deformation_nodes: int = 32
+    """Nodes of the deformation's table along each axis."""
     deformation: Literal["mls", "surface_field"] = "mls"
     """What moves points to canonical space."""
     rotation: Literal["mls", "surface_field", "none"] = "mls"
     """What turns normals; "none" leaves the canonical ones."""
     decoder: Literal["phong", "plain"] = "phong"
-    """Decomposed shading, or the baseline's one colour that knows no light."""
+    """Decomposed shading, or the baseline's single colour that ignores light."""
     colour: Literal["linear", "srgb"] = "linear"
-    """Light that shading is composed and rendered in; linear is shown through the display curve."""
+    """What shading is composed and rendered in; linear light then passes the display curve."""
 
 
 PRESETS = {
@@ -105,7 +106,7 @@ PRESETS = {
             light_directions=128,
             lobe_dim=128,
             lobe_blocks=2,
-            field=16,
+            deformation_nodes=16,
         ),
         Preset(
             name="small",
@@ -188,6 +189,6 @@ def preset_with(name: str, changes: list[str]) -> Preset:
         switch, _, value = change.partition("=")
         if value not in SWITCHES.get(switch, ()):
             known = "; ".join(f"{k}={'|'.join(v)}" for k, v in SWITCHES.items())
-            raise InputError(f"--set: {change}: choose of {known}")
+            raise InputError(f"--set: {change}: choose one of {known}")
         values[switch] = float(value) if switch == "alpha" else value
     return replace(PRESETS[name], **values)  # pyright: ignore[reportArgumentType]

@@ -7,21 +7,19 @@ import signal
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import ClassVar
 
 import torch
 from torch import Tensor, nn
 
-from totalediting.training.loop import Machine, Schedule, train
+from totalediting.training.loop import Machine, train
+from totalediting.training.stage import Loss, Stage, Validation
+from totalediting.training.stages import Schedule
 
 SCHEDULE = Schedule(steps=60, batch=8, learning_rate=0.05, warmup=5, save_every=20)
 
 
-class Line:
+class Line(Stage):
     """y = 3 x + 1 with noise; `broken` steps have a loss that is no number."""
-
-    name = "line"
-    skipped: ClassVar[dict[str, str]] = {}
 
     def __init__(self, broken: range = range(0), killed: int | None = None) -> None:
         torch.manual_seed(0)
@@ -36,17 +34,20 @@ class Line:
             yield whole[rank * size : (rank + 1) * size]
             step += 1
 
-    def loss(self, network: nn.Module, batch: Tensor, step: int) -> tuple[Tensor, dict[str, float]]:
+    def loss(self, network: nn.Module, batch: Tensor, step: int) -> Loss:
         if step == self.killed:
             os.kill(os.getpid(), signal.SIGKILL)
         noise = 0.01 * torch.randn(len(batch), 1)
         loss = (network(batch) - 3 * batch - 1 - noise).square().mean()
         return (loss * torch.nan if step in self.broken else loss), {"square": loss.item()}
 
-    def validate(self, network: nn.Module) -> tuple[float, dict[str, float], dict[str, Tensor]]:
+    def validate_on(self, data: Path, split: str) -> None:
+        """A line has no data."""
+
+    def validate(self, network: nn.Module) -> Validation:
         x = torch.linspace(0, 1, 50)[:, None]
         error = float((network(x) - 3 * x - 1).square().mean())
-        return error, {"error": error}, {"line": torch.zeros(3, 4, 4)}
+        return Validation(error, {"error": error}, {"line": torch.zeros(3, 4, 4)})
 
 
 if __name__ == "__main__":

@@ -19,7 +19,7 @@ from totalediting.presets import PRESETS, Preset
 
 SMALLEST = dataclasses.replace(
     PRESETS["tiny"], image=64, neural=32, window=16, tokens=8, plane_size=32, coarse_samples=6,
-    fine_samples=6, field=8, lightmap_height=8,
+    fine_samples=6, deformation_nodes=8, lightmap_height=8,
 )  # fmt: skip
 
 

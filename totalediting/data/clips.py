@@ -28,7 +28,7 @@ from PIL import Image
 from torch import Tensor
 
 from totalediting.data import shots
-from totalediting.data.endless import Numbered, Unreadable
+from totalediting.data.endless import EndlessDataset, Unreadable
 from totalediting.data.pairs import reason
 from totalediting.errors import InputError
 from totalediting.presets import Preset
@@ -66,7 +66,7 @@ class Video:
     layers: dict[str, Path] = field(default_factory=dict)
 
     def count(self) -> int:
-        """How many frames it has; `ValueError` where the last is missing, or there are but few."""
+        """Number of frames; `ValueError` if there are fewer than 2, or the last is missing."""
         with av.open(str(self.path)) as container:
             frames, _ = _frames(container)
         if frames < 2:
@@ -87,7 +87,7 @@ class Frames:
     paths: tuple[Path, ...]
 
     def count(self) -> int:
-        """How many there are; `ValueError` if but one."""
+        """Number of pictures; `ValueError` if there is only one."""
         if len(self.paths) < 2:
             raise ValueError("has 1 frame; a pair takes 2")
         return len(self.paths)
@@ -102,7 +102,7 @@ class Frames:
         return [np.asarray(Image.open(path).convert("RGB")) for path in paths]
 
 
-class Clips(Numbered[ClipPair]):
+class Clips(EndlessDataset[ClipPair]):
     """`ClipPair`s: every clip of a folder once per epoch, its frames at random."""
 
     def __init__(self, folder: Path | str, preset: Preset, seed: int = 0) -> None:
@@ -124,7 +124,7 @@ class Clips(Numbered[ClipPair]):
     def make(self, item: int, rng: np.random.Generator) -> ClipPair:
         """Random frames of clip number `item`, two at least; raises `Unreadable`."""
         clip = self.clips[item]
-        # Found out once, by the clip alone, so that its samples do not depend on earlier ones.
+        # Counted once, from the clip alone, so that its samples do not depend on earlier ones.
         if item not in self._counts:
             try:
                 self._counts[item] = clip.count()
@@ -182,7 +182,7 @@ def _clips(folder: Path) -> dict[str, Video | Frames]:
 
 
 def _frames(container: Any) -> tuple[int, Any]:
-    """How many frames a video says it has, and its stream of them."""
+    """The number of frames that a video claims to have, and its stream of them."""
     stream = container.streams.video[0] if container.streams.video else None
     if stream is None or not stream.average_rate:
         raise ValueError("has no video stream")

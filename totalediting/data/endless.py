@@ -1,12 +1,12 @@
-"""Samples by number: shuffled, without end, the same for any number of workers and ranks.
+"""Endless shuffled samples by number, the same for any number of workers and ranks.
 
 Sample n belongs to epoch n // L and is the (n mod L)-th of it, L = items of the dataset. Order and
 draws follow from (seed, epoch, place) alone. So the state of a training run's data is one number,
 the samples taken so far; ranks take every world-th number and workers are dealt whole batches.
 
-Where an item cannot be read, the next in the epoch's order takes its place: by a rule, so that it
-does not matter who found the damage first. Such an item is counted and named once, see
-`Numbered.skipped`.
+An item that cannot be read is replaced by the next in the epoch's order: by a rule, so that it does
+not matter which process found the damage first. Such an item is logged once, see
+`EndlessDataset.skipped`.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ import torch
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset, Sampler
 
+from assets_procedural.conventions.command_line import set_up_logging
 from totalediting.errors import InputError
 
 log = logging.getLogger(__name__)
@@ -31,17 +32,17 @@ _REASONS, _REASON_BYTES = 64, 240  # how many reasons are kept for all processes
 
 
 class Unreadable(Exception):
-    """Item number `item` cannot be used, and why."""
+    """Item number `item` cannot be used; the message says why."""
 
     def __init__(self, item: int, reason: str) -> None:
         super().__init__(reason)
         self.item, self.reason = item, reason
 
 
-class Numbered(Dataset[Item], ABC, Generic[Item]):
+class EndlessDataset(Dataset[Item], ABC, Generic[Item]):
     """A map-style dataset of samples 0, 1, 2, … without end; `len` is the size of an epoch.
 
-    A subclass says how one is made, in `make`.
+    Subclasses implement `make`.
     """
 
     def __init__(self, keys: list[str], seed: int) -> None:
@@ -52,7 +53,7 @@ class Numbered(Dataset[Item], ABC, Generic[Item]):
 
     @abstractmethod
     def make(self, item: int, rng: np.random.Generator) -> Item:
-        """The sample of an item, with draws from `rng`; raises `Unreadable`."""
+        """Make the sample of an item, drawing from `rng`; raises `Unreadable`."""
 
     def __len__(self) -> int:
         return len(self.keys)
@@ -79,7 +80,7 @@ class Numbered(Dataset[Item], ABC, Generic[Item]):
         raise InputError(f"none of {len(self)} samples can be read; {first}: {why}")
 
     def skip(self, item: int, reason: str) -> None:
-        """Note that an item was left out, and say so the first time."""
+        """Note that an item was left out, and log it the first time."""
         if self._broken[item]:
             return
         slot = int(self._broken.sum())
@@ -93,7 +94,7 @@ class Numbered(Dataset[Item], ABC, Generic[Item]):
     def skipped(self) -> dict[str, str]:
         """Key → reason of every item left out, found by this process or by a worker of it.
 
-        Reasons are kept of the first 64; that of another is in the log alone, and "" here.
+        Reasons are kept of the first 64; later ones are in the log alone, and "" here.
         """
         found = {self.keys[item]: "" for item in self._broken.nonzero()[:, 0].tolist()}
         for row in self._reasons.numpy():
@@ -124,7 +125,7 @@ class Stream(Sampler[int]):
 
 
 def loader(
-    samples: Numbered[Any],
+    samples: EndlessDataset[Any],
     batch: int,
     workers: int = 0,
     start: int = 0,
@@ -135,7 +136,7 @@ def loader(
     """Batches of `batch` samples for one rank, in the order of `Stream`, by `workers` processes.
 
     Without `stop` it never ends; with it, the last batch may be smaller. After k batches the next
-    run starts at start + k · batch · world. Every iteration over it starts anew at `start`.
+    run starts at start + k · batch · world. Every iteration starts again at `start`.
     """
     return DataLoader(
         samples,
@@ -144,7 +145,14 @@ def loader(
         num_workers=workers,
         collate_fn=collate,
         pin_memory=torch.cuda.is_available(),
+        worker_init_fn=_begin_worker,
     )
+
+
+def _begin_worker(number: int) -> None:
+    """In a process that reads data: messages, unless they are set up as in a forked one."""
+    if not logging.getLogger().handlers:
+        set_up_logging()
 
 
 def collate(samples: list[Any]) -> Any:

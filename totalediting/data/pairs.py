@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from totalediting.data import shots
-from totalediting.data.endless import Numbered, Unreadable
+from totalediting.data.endless import EndlessDataset, Unreadable
 from totalediting.data.light_mixing import Light, draw_light
 from totalediting.data.shots import Shots
 from totalediting.geometry.field import Control
@@ -33,7 +33,7 @@ from totalediting.geometry.space import head_centre
 from totalediting.presets import Preset
 
 MIRRORED = " mirrored"
-"""What is added to the key of a mirrored sample."""
+"""Suffix of the key of a mirrored pair."""
 DAMAGE = (ValueError, KeyError, OSError)
 """What a damaged or missing file makes readers raise."""
 
@@ -44,11 +44,11 @@ class Relit(NamedTuple):
     image: Tensor
     """(3, S, S)"""
     lightmaps: Tensor
-    """(5, 3, h, 2h), as `Sample.lightmaps`."""
+    """(5, 3, h, 2h), as `PortraitPair.lightmaps`."""
 
 
-class Sample(NamedTuple):
-    """One training example; a batch has a leading axis B in all."""
+class PortraitPair(NamedTuple):
+    """Two shots of one subject, all that is known of them; a batch has a leading axis B in all."""
 
     app_image: Tensor
     """I_app (3, S, S), display-referred in [0, 1]."""
@@ -69,7 +69,7 @@ class Sample(NamedTuple):
     canonical: Tensor
     """(3, S, S) canonical positions in model space; 0 where nothing is."""
     points: Tensor
-    """(5, 2) pixels of side S: eyes, nose, corners of the mouth, see `recognition.five_points`."""
+    """(5, 2) pixels of side S: eyes, nose, corners of the mouth, see `sface.five_points`."""
     app_code: Tensor
     """e_app (54,)"""
     mot_code: Tensor
@@ -107,8 +107,8 @@ class _Source(NamedTuple):
         return frontalise(self.image[None], batch, *frames)[0]
 
 
-class PortraitPairs(Numbered[Sample]):
-    """`Sample`s of a dataset's split; each shot is the motion shot once per epoch.
+class PortraitPairs(EndlessDataset[PortraitPair]):
+    """`PortraitPair`s of a dataset's split; each shot is the motion shot once per epoch.
 
     The appearance shot is another one of the same subject, where there is one; the environments of
     the two are drawn independently of each other.
@@ -127,8 +127,8 @@ class PortraitPairs(Numbered[Sample]):
     ) -> None:
         """Make pairs.
 
-        `relit` adds the motion shot in another environment, in the same where it has but one.
-        `augment` mirrors every second sample, at random, and mixes light, see `light_mixing`. In
+        `relit` adds the motion shot in another environment, or the same if it has only one.
+        `augment` mirrors every second pair, at random, and mixes light, see `light_mixing`. In
         `static` pairs, both shots have one pose: in a video subset they are the same.
 
         Raises:
@@ -142,8 +142,8 @@ class PortraitPairs(Numbered[Sample]):
         for position, subject in enumerate(self.shots.subjects):
             self._of_subject.setdefault(subject, []).append(position)
 
-    def make(self, item: int, rng: np.random.Generator) -> Sample:
-        """The sample whose motion shot is number `item`; raises `Unreadable`."""
+    def make(self, item: int, rng: np.random.Generator) -> PortraitPair:
+        """The pair whose motion shot is number `item`; raises `Unreadable`."""
         same = [other for other in self._of_subject[self.shots.subjects[item]] if other != item]
         if self.static and self.shots.moves(item):
             same = []
@@ -157,10 +157,10 @@ class PortraitPairs(Numbered[Sample]):
         except DAMAGE as error:
             raise Unreadable(other, reason(error)) from error
         try:
-            sample = self._sample(item, mot_light, another, other, source)
+            pair = self._pair(item, mot_light, another, other, source)
         except DAMAGE as error:
             raise Unreadable(item, reason(error)) from error
-        return mirrored(sample) if turn else sample
+        return mirrored(pair) if turn else pair
 
     def _source(self, position: int, light: Light) -> _Source:
         stored = self.shots.read(position, *light.members(), "geometry", "meta")
@@ -175,7 +175,9 @@ class PortraitPairs(Numbered[Sample]):
     def _picture(self, light: Light, stored: dict[str, Any]) -> Tensor:
         return light.picture([shots.picture(stored[name], self.side) for name in light.members()])
 
-    def _sample(self, item: int, light: Light, another: int, other: int, source: _Source) -> Sample:
+    def _pair(
+        self, item: int, light: Light, another: int, other: int, source: _Source
+    ) -> PortraitPair:
         rgb, rgb_relit = light.members(), shots.rgb_name(another)
         labels = (
             "albedo", "normal", "depth", "canonical", "alpha", "parts", "geometry", "meta",
@@ -193,7 +195,7 @@ class PortraitPairs(Numbered[Sample]):
                 shots.picture(stored[rgb_relit], side),
                 self.shots.lightmaps(meta, another, self.rows),
             )
-        return Sample(
+        return PortraitPair(
             app_image=source.image,
             app_frontal=source.frontal(control),
             mot_image=self._picture(light, stored),
@@ -218,34 +220,34 @@ class PortraitPairs(Numbered[Sample]):
         )
 
 
-def mirrored(sample: Sample) -> Sample:
-    """A sample as a mirror shows it, in model space and in pictures; twice gives what it was."""
-    side, m = sample.app_image.shape[-1], MIRROR
+def mirrored(pair: PortraitPair) -> PortraitPair:
+    """A pair as a mirror shows it, in model space and in pictures; twice gives what it was."""
+    side, m = pair.app_image.shape[-1], MIRROR
     plane = torch.diag(torch.cat([m, m.new_ones(1)]))
-    flip = sample.intrinsics.new_tensor([[1.0, 1.0, -1.0], [1, 1, 1], [1, 1, 1]])
-    relit = sample.relit
+    flip = pair.intrinsics.new_tensor([[1.0, 1.0, -1.0], [1, 1, 1], [1, 1, 1]])
+    relit = pair.relit
     if relit is not None:
         relit = Relit(relit.image.flip(-1), mirrored_lightmaps(relit.lightmaps))
-    return Sample(
-        app_image=sample.app_image.flip(-1),
-        app_frontal=sample.app_frontal.flip(-1),
-        mot_image=sample.mot_image.flip(-1),
-        albedo=sample.albedo.flip(-1),
-        normal=sample.normal.flip(-1) * m[:, None, None],
-        alpha=sample.alpha.flip(-1),
-        parts=PARTS[sample.parts.long()].flip(-1),
-        depth=sample.depth.flip(-1),
-        canonical=sample.canonical.flip(-1) * m[:, None, None],
-        points=(sample.points * m[:2] + side * (1 - m[:2]) / 2)[FACE_POINTS],
-        app_code=mirrored_code(sample.app_code),
-        mot_code=mirrored_code(sample.mot_code),
-        camera_to_world=plane @ sample.camera_to_world @ plane,
-        intrinsics=sample.intrinsics * flip + (1 - flip) / 2 * side,
-        control=Control(*(a * m for a in sample.control)),
-        lightmaps=mirrored_lightmaps(sample.lightmaps),
+    return PortraitPair(
+        app_image=pair.app_image.flip(-1),
+        app_frontal=pair.app_frontal.flip(-1),
+        mot_image=pair.mot_image.flip(-1),
+        albedo=pair.albedo.flip(-1),
+        normal=pair.normal.flip(-1) * m[:, None, None],
+        alpha=pair.alpha.flip(-1),
+        parts=PARTS[pair.parts.long()].flip(-1),
+        depth=pair.depth.flip(-1),
+        canonical=pair.canonical.flip(-1) * m[:, None, None],
+        points=(pair.points * m[:2] + side * (1 - m[:2]) / 2)[FACE_POINTS],
+        app_code=mirrored_code(pair.app_code),
+        mot_code=mirrored_code(pair.mot_code),
+        camera_to_world=plane @ pair.camera_to_world @ plane,
+        intrinsics=pair.intrinsics * flip + (1 - flip) / 2 * side,
+        control=Control(*(a * m for a in pair.control)),
+        lightmaps=mirrored_lightmaps(pair.lightmaps),
         relit=relit,
-        key=sample.key + MIRRORED,
-        app_key=sample.app_key,
+        key=pair.key + MIRRORED,
+        app_key=pair.app_key,
     )
 
 

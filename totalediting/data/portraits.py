@@ -20,7 +20,7 @@ from torch import Tensor
 
 from assets_procedural.person import Person
 from totalediting.data import shots
-from totalediting.data.endless import Numbered, Unreadable
+from totalediting.data.endless import EndlessDataset, Unreadable
 from totalediting.data.light_mixing import draw_light
 from totalediting.data.pairs import DAMAGE, reason
 from totalediting.data.shots import Shots
@@ -58,7 +58,7 @@ class Portrait(NamedTuple):
     """ "<subset>/<shot>" """
 
 
-class Portraits(Numbered[Portrait]):
+class Portraits(EndlessDataset[Portrait]):
     """`Portrait`s of a dataset's split: every shot once per epoch, in one of its environments."""
 
     def __init__(
@@ -71,7 +71,7 @@ class Portraits(Numbered[Portrait]):
         mirror: bool = False,
         mix: bool = False,
     ) -> None:
-        """`mirror` mirrors every second one, at random; `mix` mixes light, see `light_mixing`.
+        """`mirror` mirrors half of them, at random; `mix` mixes light, see `light_mixing`.
 
         Raises:
             InputError: no dataset, one of another format, no such split or subset, an empty one.

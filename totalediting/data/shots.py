@@ -19,6 +19,7 @@ import torch
 from scipy import sparse
 from torch import Tensor
 
+from assets_procedural.conventions.colour import srgb_decode
 from assets_procedural.motion.poses import ARKIT_NAMES
 from synthgen.dataset import FORMAT, open_dataset
 from totalediting.errors import InputError
@@ -33,7 +34,7 @@ SPLITS = ("train", "validation", "test")
 
 
 class Shots:
-    """The shots of one split, by position; opens files per access and goes to other processes."""
+    """The shots of one split, by position; opens files per access and pickles."""
 
     def __init__(self, folder: Path | str, split: str, subset: str | None = None) -> None:
         """Raises `InputError`: no dataset, another format, no such split or subset, none in it."""
@@ -121,12 +122,12 @@ def camera(meta: dict[str, Any], origin: np.ndarray, side: int) -> tuple[Tensor,
 
 
 def rgb_name(environment: int) -> str:
-    """Under which `read` has a shot's picture in one of its environments."""
+    """The name under which `read` gives a shot's picture in one of its environments."""
     return f"rgb_{environment:02d}"
 
 
 def five_points(meta: dict[str, Any], side: int) -> Tensor:
-    """(5, 2) where a face's five points lie in a picture of `side`, see `recognition`."""
+    """(5, 2) where a face's five points lie in a picture of `side`, see `sface`."""
     scale = side / torch.tensor([meta["camera"]["width"], meta["camera"]["height"]])
     return sface.five_points(torch.tensor(meta["landmarks"]["points"])) * scale
 
@@ -217,8 +218,4 @@ def _to_tensor(values: np.ndarray) -> Tensor:
     return torch.from_numpy(np.ascontiguousarray(values.transpose(2, 0, 1)))
 
 
-def _srgb_decode(shown: np.ndarray) -> np.ndarray:
-    return np.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4)
-
-
-_LINEAR = _srgb_decode(np.arange(256) / 255.0).astype(np.float32)
+_LINEAR = srgb_decode(np.arange(256) / 255.0).astype(np.float32)  # of an sRGB byte

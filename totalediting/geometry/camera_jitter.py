@@ -1,4 +1,4 @@
-"""Pictures rolled and scaled about their middle, with the camera that would have taken them so.
+"""Pictures rolled and scaled about their middle, and the camera that would have taken them.
 
 A roll of the picture is a roll of the camera; a crop about the middle is a longer lens from the
 same place. Both are exact, so tracker and lightmap estimator learn from them as from other cameras.
@@ -29,7 +29,7 @@ def jittered(
     """Pictures (B, 3, S, S) of a camera rolled by `roll` more (B,), with a lens longer by
     exp(`log_scale`) (B,), and what a tracker should find in them.
 
-    Beyond the old picture's border its outermost pixels go on.
+    Beyond the old border, the outermost pixels are repeated.
     """
     zero, scale = torch.zeros_like(roll), log_scale.exp()
     old = rolled_axes(roll)[:, :2, :2]
@@ -65,8 +65,8 @@ def jittered_light(
 
 
 def photographed(image: Tensor) -> Tensor:
-    """Pictures (B, 3, S, S) in [0, 1] as other cameras might have taken them, for what must not
-    hang on that: exposure, white balance, contrast, saturation, focus and noise at random.
+    """Pictures (B, 3, S, S) in [0, 1] as other cameras might have taken them, for networks that
+    must not depend on that: random exposure, white balance, contrast, saturation, focus and noise.
 
     Draws come from the global generator.
     """

@@ -74,7 +74,7 @@ class Table:
 
     @classmethod
     def of(cls, field: Field, low: Tensor, high: Tensor, resolution: int) -> Table:
-        """`field` at `nodes(low, high, resolution)`, with leading dimensions at will."""
+        """`field` at `nodes(low, high, resolution)`, with any leading dimensions."""
         lead = tuple(field.position.shape[:-2])
         offset = field.position - nodes(low, high, resolution).to(field.position)
         # q and -q are one rotation: to be averaged, all must lie on one side.
@@ -176,20 +176,20 @@ def quaternion_of(moment: Tensor) -> Tensor:
         row.unbind(-1) for row in moment.double().unbind(-2)
     )
     rows = [
-        # The least positive number decides for the identity where there is nothing else.
+        # A tiny positive number makes the identity win where all else is zero.
         [xx + yy + zz + 1e-300, yz - zy, zx - xz, xy - yx],
         [yz - zy, xx - yy - zz, xy + yx, zx + xz],
         [zx - xz, xy + yx, yy - xx - zz, yz + zy],
         [xy - yx, zx + xz, yz + zy, zz - xx - yy],
     ]
     matrix = torch.stack([torch.stack(row, -1) for row in rows], -2)
-    if at_once(matrix):
+    if favours_few_operations(matrix):
         return top_eigenvector(matrix)
     return torch.linalg.eigh(matrix).eigenvectors[..., -1]
 
 
-def at_once(tensor: Tensor) -> bool:
-    """Whether few large operations on it are quicker than many small ones: on a GPU."""
+def favours_few_operations(tensor: Tensor) -> bool:
+    """Whether few large operations are faster than many small ones where a tensor is: on a GPU."""
     return tensor.is_cuda
 
 

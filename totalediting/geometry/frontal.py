@@ -9,7 +9,7 @@ to show, so that brows and lips of the source move as the skin does. Beyond the 
 clothes are, the motion of the skin is continued.
 
 With it comes the bust's `relief`: what is between its front and its back is full, so that the
-density decoder has only hair and clothes to find, and what the relief gets wrong.
+density decoder has only hair and clothes to find, and the relief's errors.
 
 Symbols: B batch, V control points, S side of pictures. Axes of the result are those of the plane:
 columns along +X, rows along +Z, downwards, over the box as `space` lays it onto planes.
@@ -23,7 +23,7 @@ from torch.nn import functional
 
 from totalediting.geometry import volume
 from totalediting.geometry.field import Control
-from totalediting.geometry.relief import GRID, fill, relief_of, texels_of
+from totalediting.geometry.relief import GRID, fill_holes, front_and_back, texels_of
 from totalediting.geometry.space import off_planes, on_planes
 
 _SHOWN, _RELIEF = 4, 2  # channels: colour and how squarely it is seen; front and back
@@ -43,8 +43,9 @@ def frontalise(
     """Pictures (B, 3, S, S) on the front of the bust at rest: (B, 6, S, S) in [0, 1].
 
     After the colour comes the cosine between the skin's normal and the direction to the camera: 0
-    where the source hides the skin, or there is none. Colours are given everywhere. Last come the
-    places of front and back along Y, as shares of the planes' side; 1 and 0 where there is no skin.
+    where the source hides the skin, or there is none. Colours are filled in everywhere. Last come
+    the places of front and back along Y, as shares of the planes' side; 1 and 0 where there is no
+    skin.
 
     Args:
         image: in [0, 1].
@@ -96,12 +97,12 @@ def _lay(image: Tensor, control: Control, camera_to_world: Tensor, intrinsics: T
 
     places = on_planes(control.canonical)
     texel = texels_of(places)
-    relief = relief_of(places, control.canonical_normals, texel)
+    relief = front_and_back(places, control.canonical_normals, texel)
     behind = places[..., 1] - relief[:, 0].flatten(1).gather(1, texel)
     front = (-control.canonical_normals[..., 1]).clamp_min(0)
     weight = (front * (places.abs() < 1).all(-1) * (behind < _BEHIND))[..., None]
 
-    # What an affine motion explains goes on beyond the skin; the rest fades into its surroundings.
+    # The affine part of the motion continues beyond the skin; the rest fades into its surroundings.
     basis = torch.cat([control.canonical[..., 0::2], torch.ones_like(weight)], -1)
     gram = (weight * basis).mT @ basis + 1e-6 * torch.eye(3).to(basis)
     affine = torch.linalg.solve(gram, (weight * basis).mT @ place)
@@ -111,7 +112,7 @@ def _lay(image: Tensor, control: Control, camera_to_world: Tensor, intrinsics: T
     values = torch.cat([weight, weight * known], -1)
     sums.scatter_add_(1, texel[..., None].expand_as(values), values)
     sums = sums.mT.unflatten(-1, (GRID, GRID))
-    filled = functional.interpolate(fill(sums), (side, side), mode="bilinear")
+    filled = functional.interpolate(fill_holes(sums), (side, side), mode="bilinear")
     skin = functional.max_pool2d((sums[:, :1] > 0).float(), 5, 1, 2)
     skin = functional.interpolate(skin, (side, side), mode="bilinear")
 

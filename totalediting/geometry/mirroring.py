@@ -1,4 +1,4 @@
-"""What a mirror makes of labels: x of directions changes sign, left and right change places."""
+"""Labels in a mirror: x of directions changes sign, left and right change places."""
 
 from __future__ import annotations
 

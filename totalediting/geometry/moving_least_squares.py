@@ -21,11 +21,11 @@ from torch import Tensor
 from totalediting.geometry.field import (
     Control,
     Field,
-    at_once,
     batched,
     cells,
     check_control,
     check_points,
+    favours_few_operations,
     kabsch,
     quaternion_of,
 )
@@ -39,7 +39,7 @@ CLUSTERS = 256
 
 _OPENING = 2.0  # a cluster is far beyond this many of its own radii
 _PAIRS = 1 << 20  # weights at once, which bounds the memory: 4 MB in single precision
-_PAIRS_AT_ONCE = 1 << 24  # the same where all points are one neighbourhood: 128 MB in double
+_PAIRS_EVERYWHERE = 1 << 24  # the same where all points are one neighbourhood: 128 MB in double
 _SOLVED = 1 << 14  # points whose rotations are found at once
 
 
@@ -93,9 +93,9 @@ def _mls(
     points: Tensor, control: Control, alpha: float, epsilon: float, clusters: int | None
 ) -> Field:
     """`mls` for points (P, 3) and control points (V, 3)."""
-    whole = at_once(points)
+    whole = favours_few_operations(points)
     sources = _Sources(control, None if whole else clusters)
-    sums = (_sums_at_once if whole else _sums_nearby)(points, sources, alpha, epsilon)
+    sums = (_sums_everywhere if whole else _sums_nearby)(points, sources, alpha, epsilon)
     field = Field(torch.empty_like(points), points.new_empty(len(points), 4))
     waiting: list[tuple[Tensor, Tensor]] = []
     for part in sums:
@@ -122,12 +122,12 @@ def _sums_nearby(
         yield index, torch.cat(sums)
 
 
-def _sums_at_once(
+def _sums_everywhere(
     points: Tensor, sources: _Sources, alpha: float, epsilon: float
 ) -> Iterator[tuple[Tensor, Tensor]]:
     """The same in few operations: one neighbourhood, so wide that all of it is in float64."""
     place = sources.place.double() - sources.origin
-    size = max(1, _PAIRS_AT_ONCE // len(place))
+    size = max(1, _PAIRS_EVERYWHERE // len(place))
     for index in torch.arange(len(points), device=points.device).split(size):
         part = points[index].double() - sources.origin
         yield index, _weights(part, place, alpha, epsilon, epsilon) @ sources.columns

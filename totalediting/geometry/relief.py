@@ -1,4 +1,4 @@
-"""Where the front and the back of the bust are along Y: a relief over the planes' XZ plane.
+"""The relief of the bust: where its front and its back are along Y, over the planes' XZ plane.
 
 Symbols: B batch, V control points, n = `GRID` texels along a side; places as of `space.on_planes`.
 """
@@ -23,9 +23,11 @@ def texels_of(places: Tensor) -> Tensor:
     return row * GRID + column
 
 
-def relief_of(places: Tensor, normals: Tensor, texel: Tensor) -> Tensor:
-    """Places (B, 2, n, n) along Y of the foremost and the hindmost skin in a texel; control points
-    at `places` (B, V, 3) with `normals` lie in the one of number `texel` (B, V)."""
+def front_and_back(places: Tensor, normals: Tensor, texel: Tensor) -> Tensor:
+    """Places (B, 2, n, n) along Y of the foremost and the hindmost skin in each texel.
+
+    Control points at `places` (B, V, 3), with `normals` (B, V, 3), lie in the `texel` (B, V).
+    """
     sides = []
     for towards, pit in _CLOSING.items():
         counts = (places.abs() < 1).all(-1) & (towards * normals[..., 1] > 0)
@@ -35,7 +37,7 @@ def relief_of(places: Tensor, normals: Tensor, texel: Tensor) -> Tensor:
         # Points are sparser than texels, and some lie within mouth and eye sockets.
         closed = _close(found, pit)
         known = (closed > _NOTHING).float()
-        filled = fill(torch.cat([known, known * closed], 1))
+        filled = fill_holes(torch.cat([known, known * closed], 1))
         skin = _close(known, 5)
         height = torch.where(known > 0, closed, filled)
         sides.append(torch.where(skin > 0, towards * height, -towards))
@@ -43,12 +45,12 @@ def relief_of(places: Tensor, normals: Tensor, texel: Tensor) -> Tensor:
 
 
 def _close(picture: Tensor, side: int) -> Tensor:
-    """What is lower than all around it within a square of `side`, raised to that (a closing)."""
+    """Grey-scale closing by a square of `side`: pits narrower than that are filled."""
     grown = functional.max_pool2d(picture, side, 1, side // 2)
     return -functional.max_pool2d(-grown, side, 1, side // 2)
 
 
-def fill(sums: Tensor) -> Tensor:
+def fill_holes(sums: Tensor) -> Tensor:
     """Weighted sums (B, 1 + C, n, n), weight first, to means (B, C, n, n) without holes.
 
     A texel's mean leans on that of the coarser one around it, the less the more weight it has.

@@ -1,4 +1,4 @@
-"""What the head tracker says of a picture, as the model takes it: control points and camera.
+"""From a tracking to what the model takes: the control points of the bust, and a camera.
 
 Symbols: B batch, V vertices of the skin in the order of the dataset's `control_points`, J bones.
 Space: model space, metres, world axes, the origin at `space.head_centre` of the canonical bust;
@@ -189,7 +189,7 @@ def _axes(tracking: Tracking) -> tuple[Tensor, Tensor, Tensor]:
 def _position(
     box: tuple[Tensor, Tensor], axes: tuple[Tensor, Tensor, Tensor], tracking: Tracking
 ) -> Tensor:
-    """(B, 3) where the camera stands that sees a box so."""
+    """(B, 3) position of the camera that frames a box this way."""
     middle, height = box
     right, up, away = axes
     frame = height / tracking.fill

@@ -1,4 +1,4 @@
-"""What a tracker says of a picture: motion, identity and camera, as a batch of numbers.
+"""What a tracker finds in a picture: motion, identity and camera, as a batch of numbers.
 
 Angles are in radians, with the signs of docs/conventions.md. A camera is described as a dataset's:
 its angles, its focal length on a sensor of 36 mm, `fill` = height of the head / height of the
@@ -69,4 +69,4 @@ class Tracking(NamedTuple):
 
 
 SIZES = Tracking(EXPRESSIONS, 2, 3, IDENTITY, 3, 1, 1, 2, 10)  # pyright: ignore[reportArgumentType]
-"""How many numbers each field has."""
+"""Length of each field."""

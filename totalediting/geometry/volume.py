@@ -99,7 +99,7 @@ def triplane(planes: Tensor, places: Tensor) -> Tensor:
 
     The mean of three look-ups as of `plane`. The planes are XY, XZ and YZ, see `PLANE_AXES`: the
     first axis runs along the columns, the second along the rows. Places are in [-1, 1] along each
-    axis; where that is in the world is `space`'s affair. Differentiable once, in planes and places.
+    axis; `space` says where that is in the world. Differentiable once, in planes and places.
     """
     _check("planes", planes, "B", 3, "C", "H", "W")
     _check("places", places, planes.shape[0], "P", 3)
@@ -276,7 +276,7 @@ def _strata(like: Tensor, count: int, generator: torch.Generator | None) -> Tens
 
 
 def _check(name: str, tensor: Tensor, *shape: int | str) -> None:
-    """Refuse another shape. A word stands for any size, a leading "..." for any sizes before."""
+    """Raise unless the shape fits. A word allows any size, a leading "..." any leading sizes."""
     leading = shape[:1] == ("...",)
     sizes, got = shape[leading:], tuple(tensor.shape)
     extra = len(got) - len(sizes)

@@ -1,4 +1,4 @@
-"""A Phong ball under lightmaps, through an orthographic camera: what light does, at a glance.
+"""A Phong ball under lightmaps, through an orthographic camera: the effect of light at a glance.
 
 The ball has the unit radius and fills the square picture. Normals and directions are in the world
 frame of the lightmaps; the camera has OpenGL axes (x right, y up, it looks along -z).
@@ -27,9 +27,9 @@ def shade_ball(
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """The ball's linear light (size, size, 3) and coverage (size, size) in [0, 1], row 0 on top.
 
-    Light is that of the surface point at each pixel's centre. Outside the rim it goes on as at the
-    rim, so that light times coverage is an anti-aliased picture. Coverage runs from 0 to 1 over the
-    pixel's width across the rim.
+    Light is that of the surface point at each pixel's centre. Outside the rim it continues as at
+    the rim, so that light times coverage is an anti-aliased picture. Coverage runs from 0 to 1 over
+    the pixel's width across the rim.
 
     Args:
         lightmaps: (5, 3, H, 2H), normalised, as `lightmaps.bake` makes them.

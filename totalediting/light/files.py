@@ -2,7 +2,7 @@
 
 A tensor (5, 3, H, 2H) float32, lobes in the order of `lightmaps.LOBES`, becomes the fifteen float32
 channels <lobe>.R, <lobe>.G and <lobe>.B. Row, column and world axes follow
-`conventions.panorama`; values are linear Rec.709. String attributes say what was baked
+`conventions.panorama`; values are linear Rec.709. String attributes record what was baked
 (`lightmaps_source`, a file name, and its `lightmaps_sha256`), whether a constant environment of
 radiance 1 gives maps of 1 (`lightmaps_normalised`, "true" or "false") and the convention.
 """
@@ -27,7 +27,7 @@ CONVENTION = (
 
 
 def write_lightmaps(path: Path, lightmaps: torch.Tensor, source: Path, normalised: bool) -> None:
-    """Store lightmaps (5, 3, H, 2H) atomically as EXR; `source` is the file they were baked of.
+    """Store lightmaps (5, 3, H, 2H) atomically as EXR; `source` is the file they were baked from.
 
     Equal input gives equal bytes.
     """

@@ -79,8 +79,8 @@ def bake(
 def rotate(maps: torch.Tensor, rotation: torch.Tensor, height: int | None = None) -> torch.Tensor:
     """Maps (..., 5, 3, H, 2H) resampled into another frame, at their own or another height.
 
-    The new map at direction d is the old map at `rotation` d; `rotation` (..., 3, 3). Where the
-    environment is at hand, `bake` gives sharper maps in another frame.
+    The new map at direction d is the old map at `rotation` d; `rotation` (..., 3, 3). If the
+    environment is available, `bake` gives sharper maps in another frame.
 
     Raises:
         ValueError: `maps` has another shape, `rotation` is no rotation, or `height` is bad.
@@ -139,7 +139,7 @@ def texel_directions(
 
 
 def brute_force(environment: torch.Tensor, directions: torch.Tensor, exponent: int) -> torch.Tensor:
-    """The integral that `bake` stands for, as it is written: slow, exact, to compare with.
+    """The integral that `bake` computes, written out: slow, exact, for comparison.
 
     Sum over all texels of L(l) max(0, d.l)^exponent times their solid angles, not normalised, for
     an environment (..., H, 2H, 3) and unit directions (N, 3) in its frame: (..., N, 3) float64.
@@ -188,7 +188,7 @@ def _transforms(
     """
     analysis = _legendre(rows) * panorama.texel_solid_angles(rows)
     synthesis = _legendre(height)[:, None].swapaxes(-1, -2) * _zonal()[:, None]
-    # The sum over texels that stands for the integral is a little off; constant light is not.
+    # The sum over texels is not quite the integral; correct it so that constant light is exact.
     constant = analysis[0].sum(1) * 2 * rows
     synthesis /= (synthesis[0] @ constant)[..., None]
 

@@ -6,23 +6,16 @@ Colours are linear Rec.709, (..., 3) with the channels last. Normals n, viewing 
 the surface to the viewer) and reflected directions r share the frame of the lightmaps that they are
 looked up in. Everything is differentiable, float32 or float64, and batched over leading axes.
 
-`display` is the dataset's transform D, which docs/conventions.md defines: straight up to `KNEE`, a
-logarithmic shoulder that reaches 1 at `CLIP`, then the sRGB transfer function. What is learnt knows
-nothing of the generator, so that it stands here again; a test holds the two equal.
+`display` is the dataset's transform D of `conventions.colour`, differentiable: straight up to
+`KNEE`, a logarithmic shoulder that reaches 1 at `CLIP`, then the sRGB transfer function.
 """
 
 from __future__ import annotations
 
 import torch
 
+from assets_procedural.conventions.colour import CLIP, KNEE, RATE
 from totalediting.light.lightmaps import SHININESS, sample
-
-KNEE = 0.8
-"""Linear light up to which D is straight."""
-CLIP = 8.0
-"""Linear light that D takes to just 1."""
-RATE = 26.23164050992174
-"""Constant a of D's shoulder KNEE + log(1 + a (x - KNEE)) / a."""
 
 
 def reflect(view: torch.Tensor, normal: torch.Tensor) -> torch.Tensor:

@@ -2,7 +2,7 @@
 
 Both show linear light times one exposure through the dataset's display transform. The exposure is
 metered as with an incident light meter: of a white matte surface that faces the brightest light the
-strongest channel is shown at `phong.KNEE`, where the transform leaves the straight line. So the
+strongest channel is shown at `KNEE`, where the transform leaves the straight line. So the
 diffuse map is never compressed, lights themselves are, and all parts of a picture compare.
 """
 
@@ -15,6 +15,7 @@ import numpy as np
 import torch
 from PIL import Image, ImageDraw, ImageFont
 
+from assets_procedural.conventions.colour import KNEE
 from assets_procedural.conventions.files import replacing
 from assets_procedural.light.backdrop import backdrop
 from totalediting.light import phong
@@ -33,7 +34,7 @@ def exposure_of(lightmaps: torch.Tensor) -> float:
     1 where nothing shines.
     """
     brightest = float(lightmaps[0].max())
-    return phong.KNEE / brightest if brightest > 0.0 else 1.0
+    return KNEE / brightest if brightest > 0.0 else 1.0
 
 
 def draw_lightmaps(

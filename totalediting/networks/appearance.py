@@ -8,8 +8,8 @@ see them in [-1, 1] together with x and y of each pixel. The design is that of t
 and the atrous pyramid of DeepLabv3 (Chen et al. 2017) sees what is where, five convolutions at half
 the side keep what is fine. The norms are over groups, not over the batch.
 
-Where we leave it: the fine branch does not see the picture itself but the picture laid onto the
-bust (`frontal`), and that mirrored, which shows what the pose hides; so detail lies where the
+Where we depart from it: the fine branch does not see the picture itself but the picture laid onto
+the bust (`frontal`), and that mirrored, which shows what the pose hides; so detail lies where the
 planes hold it. The global branch sees all three.
 """
 
@@ -33,7 +33,7 @@ _SIDE = 512
 
 
 class Appearance(NamedTuple):
-    """What is known of I_app's appearance."""
+    """The appearance of I_app."""
 
     global_: Tensor
     """(B, global_channels, S / 8, S / 8): what is where."""
@@ -42,7 +42,8 @@ class Appearance(NamedTuple):
 
 
 class AppearanceEncoder(nn.Module):
-    """E_app: pictures (B, 3, S, S) in [0, 1], as they are and laid out, to `Appearance`."""
+    """E_app: pictures (B, 3, S, S) in [0, 1], as they are and laid onto the bust, to
+    `Appearance`."""
 
     xy: Tensor
 

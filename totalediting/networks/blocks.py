@@ -39,7 +39,7 @@ def norm(channels: int) -> nn.GroupNorm:
     """Group normalisation: groups of eight channels or so, at most 32 groups.
 
     It needs no statistics over the batch, so that small batches do no harm and a picture's features
-    do not depend on its neighbours'.
+    do not depend on the others in its batch.
     """
     return nn.GroupNorm(math.gcd(channels, max(1, min(32, channels // 8))), channels)
 

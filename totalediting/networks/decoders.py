@@ -46,11 +46,11 @@ a surface that stops 95 % of the light within 5 mm (600 / m) needs only x = 13.
 FRESH = -3.0
 """Mean of a fresh x: about 0.9 / m, which stops two fifths of the light across a box of 0.6 m."""
 FULL = 12.0
-"""What fresh x is more inside the skin: 400 / m, which stops all light within 1 cm."""
+"""How much larger a fresh x is inside the skin: 400 / m, which stops all light within 1 cm."""
 SKIN = 0.016
 """Thickness over which that rises, in places: 2 mm at the face, see `space`."""
 PACE = 6.0
-"""Their learning rate over that of all else; instant-NGP's for such networks is 1e-2."""
+"""Their learning rate relative to the rest; instant-NGP's for such networks is 1e-2."""
 FRESH_SPECULAR = 0.05
 """A fresh specular coefficient, about the reflectance of skin at grazing and frontal angles."""
 
@@ -59,7 +59,7 @@ ToPosed = Callable[[Tensor], Tensor]
 
 
 class Shading(NamedTuple):
-    """What points look like; colours and directions (B, N, 3). See the module for symbols."""
+    """How points look; colours and directions (B, N, 3). See the module for symbols."""
 
     colour: Tensor
     """c, the sum of diffuse, specular and residual; the residual may make it negative."""

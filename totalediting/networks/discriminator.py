@@ -26,7 +26,7 @@ from totalediting.presets import Preset
 CHANNELS = 10
 """Final picture 3, raw picture 3, canonical coordinates 3, opacity 1."""
 CAMERA = 16
-"""Numbers of a camera's code: its pose, 3 x 4, and fx, fy, cx, cy as shares of the picture."""
+"""Length of a camera's code: its pose, 3 x 4, and fx, fy, cx, cy as shares of the picture."""
 EXTENT = 0.3
 """Metres that canonical coordinates are divided by: half the side of the box."""
 
@@ -108,7 +108,7 @@ def camera_code(camera_to_world: Tensor, intrinsics: Tensor, side: int) -> Tenso
 
 
 def generator_loss(fake: Tensor) -> Tensor:
-    """Non-saturating loss (Goodfellow et al. 2014) of logits (B,) of what was generated."""
+    """Non-saturating loss (Goodfellow et al. 2014) of logits (B,) of generated pictures."""
     return functional.softplus(-fake).mean()
 
 

@@ -9,8 +9,8 @@ about the head. A camera is described as a dataset's: its angles, its focal leng
 36 mm, `fill` = height of the head / height of the frame, and `shift`, where the head's centre
 appears, as a share of the frame from its middle (right, up).
 
-What is small on a head, its expression and gaze, is read off the face alone, which five points
-found in the picture lay out straight; how the head is turned, off the face and the whole picture.
+Expression and gaze, which are small in a picture, are read from the face alone, straightened by
+five points found in the picture; the head's pose is read from the face and the whole picture.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ from totalediting.pretrained import sface
 _SIDE = 128  # pixels that the network sees along a side
 _WIDTHS = (32, 64, 128, 256)
 _FINE, _COARSE = 16, 4  # cells along a side of the maps: points are found on the fine ones
-_FACE = 64  # pixels along a side of the face laid out
+_FACE = 64  # pixels along a side of the straightened face
 _FACE_WIDTHS = (24, 24, 48, 96)
 _FACE_FEATURES = 128
-_SOURCES = {  # what a field is read off: the whole picture, the face laid out, or both
+_SOURCES = {  # what a field is read from: the whole picture, the straightened face, or both
     "expression": ("face",),
     "gaze": ("face",),
     "head": ("picture", "face"),
@@ -58,14 +58,14 @@ WEIGHTS = {
     "shift": 70.0,
     "face": 35.0,
 }
-"""What a field's error counts in `tracking_loss`: the mean absolute one, for the expression the
+"""Weight of each field's error in `tracking_loss`: the mean absolute one, for the expression the
 mean square, as most coefficients are 0 most of the time and a median would be content with that.
 
 The inverse of each field's mean deviation from its median in a job of default settings (gaze 0.12,
 head 0.13, camera 0.24, log focal length 0.18, log fill 0.07, shift 0.015), of the expression that
 of its mean variance, 0.02, so that all start near 1; half of it for the focal length, which little
 of a picture tells, and for identity (of unit variance), of which much cannot be seen. The face's
-points (0.06) count double, as reading hangs on them.
+points (0.06) count double, as everything read from the face depends on them.
 """
 
 
@@ -73,8 +73,8 @@ class HeadTracker(nn.Module):
     """Pictures (B, 3, S, S) in [0, 1] to `Tracking`: a ResNet that finds the face, and a small one
     that reads it.
 
-    Pictures are brought to 128 x 128 first, so that the weights are of no preset: one tracker
-    serves all. A fresh one sees a nearly neutral face in front of a neutral camera everywhere.
+    Pictures are resized to 128 x 128 first, so that the weights do not depend on the preset: one
+    tracker serves all. A fresh one finds a nearly neutral face before a neutral camera everywhere.
     """
 
     xy: Tensor
@@ -82,7 +82,7 @@ class HeadTracker(nn.Module):
     template: Tensor
 
     def __init__(self, preset: Preset) -> None:
-        """Build for pictures of side `preset.image`, the only thing that presets decide here."""
+        """Build for pictures of side `preset.image`, all that the preset decides here."""
         super().__init__()
         self.image = preset.image
         self.register_buffer("xy", coordinates(_SIDE, _SIDE), persistent=False)
@@ -122,8 +122,7 @@ class HeadTracker(nn.Module):
     def forward(self, image: Tensor, face: Tensor | None = None) -> Tracking:
         """Track pictures (B, 3, S, S) in [0, 1]; each by itself, without what came before.
 
-        With `face`, as of `Tracking`, what is read off the face is read there, not where it is
-        found.
+        With `face`, as of `Tracking`, the face is read there and not where it is found.
 
         Raises:
             ValueError: another shape.
@@ -151,7 +150,8 @@ class HeadTracker(nn.Module):
 
     def lay_out(self, image: Tensor, face: Tensor) -> Tensor:
         """Faces (B, 3, 64, 64) in [-1, 1], turned and scaled so that the points `face` (B, 10) of
-        pictures (B, 3, H, H) in [0, 1] lie where ArcFace has them; the border goes on outwards.
+        pictures (B, 3, H, H) in [0, 1] lie where ArcFace has them; beyond the border, its pixels
+        are repeated.
 
         The similarity from face to picture is the best by least squares. With complex numbers t of
         the template about its mean and z of the points, it is sum conj(t) z / sum |t|^2. Unlike

@@ -4,7 +4,7 @@
                           +----> normals N (E_nor) -- E_face ---+
     lobes max(0, d.l)^e -- E_lobe --> queries z(e, d) -- D_lit --> lightmaps S
 
-Every token knows which way the surface faces that it is of: E_face embeds its normal n as E_lobe
+Every token knows which way its surface faces: E_face embeds its normal n as E_lobe
 embeds a direction, by max(0, n.l) over the same light directions l, so that the query for light
 from d finds what faces d. No gradient of light reaches the normals. And it knows the light that the
 picture shows there, which the norms of a U-Net lose.
@@ -49,7 +49,7 @@ _AUGMENTATIONS = ((0.0, 0.0), (0.15, 0.0), (-0.15, 0.0), (0.0, 0.1), (0.0, -0.1)
 
 
 class Illumination(NamedTuple):
-    """What a picture says of its light: `code` (B, Q, 3) log(1 + light), `normal` (B, 3, s, s)."""
+    """What a picture tells of its light: `code` (B, Q, 3) log(1 + light), `normal` (B, 3, s, s)."""
 
     code: Tensor
     normal: Tensor
@@ -115,7 +115,7 @@ class LightmapEstimator(nn.Module):
 
         The mean, as log(1 + light), over test-time augmentations: the picture as it is, rolled and
         scaled a little, and its mirror images. Rolls and mirrors turn light exactly, and the
-        answers are not wrong alike.
+        answers err differently.
         """
         found = [self._augmented(image, *by) for by in _AUGMENTATIONS]
         return lightmaps.decode(torch.stack(found).mean(0))

@@ -32,11 +32,11 @@ JITTER = 2.4e-3
 box's side, as in EG3D."""
 
 Deformation = Callable[[Tensor], Field]
-"""T and R at points (B, P, 3) of posed space: a `field.Table`, or anything else called so."""
+"""T and R at points (B, P, 3) of posed space: a `field.Table`, or any other callable like it."""
 
 
 class Rendering(NamedTuple):
-    """What is seen, (B, channels, h, w), and what losses need of the samples that it was seen by.
+    """Pictures (B, channels, h, w), and what losses need of the samples behind them.
 
     All pictures but opacity and depth are premultiplied by the opacity: nothing seen is 0.
     """
@@ -80,7 +80,7 @@ def render(
     intrinsics: Tensor,
     lightmaps: Tensor,
     to_light: Tensor,
-    field: Deformation | None,
+    deformation: Deformation | None,
     preset: Preset,
     generator: torch.Generator | None = None,
     chunk: int | None = None,
@@ -98,7 +98,7 @@ def render(
         camera_to_world: (B, 4, 4) into model space.
         intrinsics: (B, 3, 3) for a picture of h x h, see `volume.resize_intrinsics`.
         lightmaps, to_light: see `ShadingDecoder.forward`.
-        field: from posed to canonical space; None where there is no motion. Where
+        deformation: from posed to canonical space; None where there is no motion. Where
             `preset.rotation` is "none", its positions count but normals stay canonical.
         generator: places samples at random in their strata, on the device of the planes; without
             one they lie in the middle.
@@ -120,7 +120,7 @@ def render(
             decoders=decoders,
             lightmaps=_full(lightmaps),
             to_light=_full(to_light),
-            field=field,
+            deformation=deformation,
             turned=preset.rotation != "none",
         )
         camera_to_world = _full(camera_to_world)
@@ -174,7 +174,7 @@ def render(
 
 
 Geometry = Callable[[Tensor, Tensor], Tensor]
-"""A `GeometryDecoder`, or anything called so."""
+"""A `GeometryDecoder`, or any other callable like it."""
 
 
 def density(planes: Tensor, laid: Tensor, geometry: Geometry, points: Tensor) -> Tensor:
@@ -235,7 +235,7 @@ class _Subject(NamedTuple):
     decoders: Decoders
     lightmaps: Tensor
     to_light: Tensor
-    field: Deformation | None
+    deformation: Deformation | None
     turned: bool
 
 
@@ -276,8 +276,8 @@ def _decode(subject: _Subject, rays: _Rays) -> tuple[Tensor, Tensor, ToPosed]:
     """Weights (B, R, S) and canonical points (B, R * S, 3) of samples; what turns normals there."""
     points = volume.along(rays.origins, rays.directions, rays.distances).flatten(1, 2)
     to_posed: ToPosed = _unturned
-    if subject.field is not None:
-        deformed = subject.field(points)
+    if subject.deformation is not None:
+        deformed = subject.deformation(points)
         points = deformed.position
         if subject.turned:
             to_posed = deformed.to_posed

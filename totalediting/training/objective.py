@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from totalediting.data.pairs import Sample
+from totalediting.data.pairs import PortraitPair
 from totalediting.model import Edit, TotalEditing, Window
 from totalediting.networks.rendering import density_jitter, density_normals
 from totalediting.presets import Preset
@@ -23,14 +23,14 @@ _TV_POINTS, _NORMAL_POINTS = 1000, 4096
 
 
 class Truth(NamedTuple):
-    """What is known of the picture that an edit should be."""
+    """Ground truth of an edit."""
 
     image: Tensor
     """(B, 3, S, S), I*."""
     alpha: Tensor
     """(B, 1, S, S) coverage; 1 where it is not known."""
     matted: Tensor
-    """(B,) bool: whether it is."""
+    """(B,) bool: whether the coverage is known."""
     normal: Tensor
     """(B, 3, S, S) unit, model space; 0 where unknown."""
     albedo: Tensor | None
@@ -50,8 +50,8 @@ class Truth(NamedTuple):
         )
 
 
-def truth_of(batch: Sample) -> Truth:
-    """All that is known of synthetic pictures."""
+def truth_of(batch: PortraitPair) -> Truth:
+    """The ground truth of synthetic pictures."""
     matted = torch.ones(len(batch.alpha), dtype=torch.bool, device=batch.alpha.device)
     return Truth(batch.mot_image, batch.alpha, matted, batch.normal, batch.albedo, batch.canonical)
 

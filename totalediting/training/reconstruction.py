@@ -14,24 +14,27 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from totalediting.data.endless import loader, to_device
-from totalediting.data.pairs import MIRRORED, PortraitPairs, Sample
+from totalediting.data.pairs import MIRRORED, PortraitPair, PortraitPairs
 from totalediting.geometry.field import Control, Table
+from totalediting.geometry.identity import faces_of
 from totalediting.geometry.mirroring import MIRROR
 from totalediting.light import phong
 from totalediting.model import Edit, TotalEditing, Window
 from totalediting.presets import Preset
 from totalediting.training import losses, metrics
 from totalediting.training.objective import terms, truth_of
+from totalediting.training.stage import Loss, Stage, StageSettings, Validation
 
 VALIDATED = 64
 """Samples that a validation looks at, at most."""
 
-_AT_ONCE = 8  # pairs of a validation
-_ROOM = 1 << 28  # bytes of deformations that are kept
+_VALIDATION_BATCH = 8  # pairs
+_CACHE = 1 << 28  # bytes of deformations that are kept
+_STATIC = 0.25  # share of the stage's steps before pairs differ in motion
 
 
-class Pairs:
-    """Training pairs and held-out pairs of a dataset, by step."""
+class PairStage(Stage):
+    """A stage that learns from pairs of pictures of one person."""
 
     most = VALIDATED
 
@@ -45,17 +48,15 @@ class Pairs:
         self.held_out = PortraitPairs(data, preset, "validation")
         self._tables: dict[str, Table] = {}
 
-    def judge_by(self, data: Path, split: str) -> None:
-        """Validate on all of another split."""
+    def validate_on(self, data: Path, split: str) -> None:
         self.held_out = PortraitPairs(data, self.preset, split)
         self.most = len(self.held_out)
 
     @property
     def skipped(self) -> dict[str, str]:
-        """Training pairs that could not be read, and why."""
         return self.static.skipped | self.train.skipped
 
-    def deformation(self, model: TotalEditing, batch: Sample) -> Table:
+    def deformation(self, model: TotalEditing, batch: PortraitPair) -> Table:
         """The batch's deformations; each shot's is solved once and kept, as far as there is room.
 
         They take a third of a step on a CPU, and do not change. A mirrored shot's is the mirror
@@ -73,12 +74,11 @@ class Pairs:
         tables = [self._tables[shot] for shot in shots]
         tables = [t.mirrored() if turn else t for t, turn in zip(tables, turned, strict=True)]
         table = Table.stack(tables)
-        while len(self._tables) * table.values[0].nbytes > _ROOM:
+        while len(self._tables) * table.values[0].nbytes > _CACHE:
             del self._tables[next(iter(self._tables))]
         return table
 
-    def batches(self, first: int, size: int, rank: int, ranks: int) -> Iterator[Sample]:
-        """The batches from step `first` on, this rank's share of each."""
+    def batches(self, first: int, size: int, rank: int, ranks: int) -> Iterator[PortraitPair]:
         start, moving = first * size * ranks, self.static_steps * size * ranks
         if start < moving:
             yield from loader(self.static, size, self.workers, start, moving, rank, ranks)
@@ -86,10 +86,10 @@ class Pairs:
         yield from loader(self.train, size, self.workers, start, rank=rank, world=ranks)
 
 
-class ReconstructStage(Pairs):
-    """L_rec + L_reg in true light, without the networks that others trained."""
+class ReconstructStage(PairStage):
+    """L_rec + L_reg in true light, without pre-trained networks."""
 
-    name = "reconstruct"
+    network: TotalEditing
 
     def __init__(
         self,
@@ -105,7 +105,7 @@ class ReconstructStage(Pairs):
         self.weights = weights
         self.network = TotalEditing(preset, faces)
 
-    def loss(self, network: nn.Module, batch: Sample, step: int) -> tuple[Tensor, dict[str, float]]:
+    def loss(self, network: nn.Module, batch: PortraitPair, step: int) -> Loss:
         generator = generator_on(batch.app_image.device)
         window = window_in(self.network.preset)
         table = self.deformation(self.network, batch)
@@ -115,8 +115,21 @@ class ReconstructStage(Pairs):
         total = losses.total(found, self.weights, step)
         return total.loss, total.scalars
 
-    def validate(self, network: nn.Module) -> tuple[float, dict[str, float], dict[str, Tensor]]:
+    def validate(self, network: nn.Module) -> Validation:
         return validate(network, self.held_out, self.most)
+
+
+def build(settings: StageSettings) -> ReconstructStage:
+    """The stage, see `stages.STAGES`."""
+    return ReconstructStage(
+        settings.data,
+        settings.preset,
+        settings.seed,
+        settings.workers,
+        faces_of(settings.preset),
+        losses.OURS.over(settings.steps),
+        static_steps=int(_STATIC * settings.steps),
+    )
 
 
 def generator_on(device: torch.device) -> torch.Generator:
@@ -133,7 +146,7 @@ def window_in(preset: Preset) -> Window:
 
 def edit_of(
     network: nn.Module,
-    batch: Sample,
+    batch: PortraitPair,
     generator: torch.Generator | None,
     lightmaps: Tensor | None = None,
     to_light: Tensor | None = None,
@@ -156,14 +169,13 @@ def edit_of(
     )
 
 
-def validate(
-    network: nn.Module, pairs: PortraitPairs, most: int
-) -> tuple[float, dict[str, float], dict[str, Tensor]]:
-    """Figures on held-out people, the first of them beside that of returning the source."""
+def validate(network: nn.Module, pairs: PortraitPairs, most: int) -> Validation:
+    """Judge a model by its PSNR on the first `most` pairs of held-out people; beside it stands the
+    PSNR of returning the source."""
     device = next(network.parameters()).device
     errors: dict[str, list[Tensor]] = {"psnr": [], "source": [], "normal": [], "albedo": []}
     picture = None
-    for samples in loader(pairs, _AT_ONCE, stop=min(most, len(pairs))):
+    for samples in loader(pairs, _VALIDATION_BATCH, stop=min(most, len(pairs))):
         batch = to_device(samples, device)
         edit = edit_of(network, batch, None)
         errors["psnr"].append(metrics.psnr(edit.image, batch.mot_image, batch.alpha))
@@ -179,13 +191,13 @@ def validate(
         picture = picture if picture is not None else edit_picture(batch, edit)
     found = {name: torch.cat(values) for name, values in errors.items()}
     figures = {
-        "PSNR": float(found["psnr"].mean()),
-        "PSNR of the source": float(found["source"].mean()),
-        "normal, mean °": float(found["normal"].nanmean()),
-        "albedo, L1": float(found["albedo"].mean()),
+        "psnr": float(found["psnr"].mean()),
+        "source_psnr": float(found["source"].mean()),
+        "normal_error": float(found["normal"].nanmean()),
+        "albedo_error": float(found["albedo"].mean()),
     }
     assert picture is not None  # a split is never empty
-    return -figures["PSNR"], figures, {"edit": picture}
+    return Validation(-figures["psnr"], figures, {"edit": picture})
 
 
 def decomposition(edit: Edit, camera_to_world: Tensor) -> dict[str, Tensor]:
@@ -203,7 +215,7 @@ def decomposition(edit: Edit, camera_to_world: Tensor) -> dict[str, Tensor]:
     }
 
 
-def edit_picture(batch: Sample, edit: Edit) -> Tensor:
+def edit_picture(batch: PortraitPair, edit: Edit) -> Tensor:
     """(3, H, W): source, truth, result, then what the result is made of."""
     size = batch.mot_image.shape[-2:]
     parts = decomposition(edit, batch.camera_to_world).values()

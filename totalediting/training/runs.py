@@ -1,13 +1,15 @@
-"""A run: its stages in order, on a CPU side by side where they need nothing of each other.
+"""A run: its stages in order, on a CPU two at a time where neither needs the other.
 
-A second core helps the small networks of `tiny` little: two stages on a core each are sooner done
+A second core helps the small networks of `tiny` little: two stages on a core each finish sooner
 than one after the other on both.
 """
 
 from __future__ import annotations
 
 import errno
+import logging
 import os
+import pkgutil
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
@@ -18,127 +20,166 @@ from typing import Any
 
 import torch
 
+from assets_procedural.conventions.command_line import set_up_logging
 from totalediting.errors import InputError
 from totalediting.presets import preset_with
 from totalediting.training import checkpoints, loop, stages
-from totalediting.training.joint import JointStage
 from totalediting.training.loop import Machine
+from totalediting.training.stage import RealVideo, Stage, StageSettings
 
-CHAINS = (("tracker", "lightmaps"), ("reconstruct",))
-"""Stages in order; a chain needs nothing of another, and `joint` goes on from all of them."""
+log = logging.getLogger(__name__)
+
+PROCESSES = 2
+"""Stages that train at the same time on a CPU."""
+
+Figures = dict[str, float]
+"""Of a validation, see `figures`."""
 
 
 @dataclass(frozen=True)
 class RunSettings:
-    """What is trained on, where, and how: the same for every stage of a run."""
+    """Data, place and manner of training: the same for every stage of a run."""
 
     data: Path
     run: Path
-    """A stage is trained in its folder of that name in it."""
+    """Each stage is trained in a folder of its name in it."""
     preset: str
     switches: list[str]
     """Of the preset, see `presets.preset_with`."""
     schedule: dict[str, float]
-    """Fields of `training.Schedule` that are not the stage's own."""
+    """Fields of `stages.Schedule` that replace the stage's own."""
     seed: int
     workers: int
     """Processes that read data, of each stage."""
     machine: Machine
-    clips: Path | None
-    """Real clips for the stage `joint`, with the share of its steps and their light."""
-    real_share: float
-    real_light: str
+    real: RealVideo | None
+    """Real clips for the stage `joint`."""
 
 
-def train_all(settings: RunSettings) -> None:
-    """Train all stages, or go on where they stopped; prints how it goes.
+def build(name: str, settings: StageSettings) -> Stage:
+    """The stage of that name in `stages.STAGES`.
+
+    Raises:
+        InputError: no dataset there, one of another format, or an empty split.
+    """
+    return pkgutil.resolve_name(stages.STAGES[name].build)(settings)
+
+
+def train_all(settings: RunSettings) -> dict[str, Figures]:
+    """Train all stages, or resume them; gives the figures of each.
 
     Raises:
         InputError: see `train_stage`; the other stages stop where they are.
     """
-    threads = torch.get_num_threads() // len(CHAINS)
-    if settings.machine.device != "cpu" or settings.machine.devices > 1 or not threads:
-        for names in CHAINS:
-            _train_chain(names, settings)
-    else:
-        _side_by_side(settings, threads)
-    train_stage("joint", settings)
+    threads = torch.get_num_threads() // PROCESSES
+    one_by_one = settings.machine.device != "cpu" or settings.machine.devices > 1 or not threads
+    found: dict[str, Figures] = {}
+    for names in stages.waves():
+        if one_by_one or len(names) == 1:
+            found |= {name: train_stage(name, settings) for name in names}
+        else:
+            found |= _side_by_side(names, settings, threads)
+    return found
 
 
-def train_stage(name: str, settings: RunSettings) -> None:
-    """Train one stage, or go on where it stopped; prints how it goes.
+def train_stage(name: str, settings: RunSettings) -> Figures:
+    """Train one stage, or resume it; gives the figures of its last validation.
 
     Raises:
         InputError: no such dataset, one of another format, a split without shots; the folder holds
-            another run; `joint` finds no trained model there; the disk is full.
+            another run; a stage that it needs was not trained there; the disk is full.
     """
+    spec = stages.STAGES[name]
     preset = preset_with(settings.preset, settings.switches)
-    schedule = replace(stages.SCHEDULES[name], **settings.schedule)  # pyright: ignore[reportArgumentType]
+    schedule = replace(spec.schedule, **settings.schedule)  # pyright: ignore[reportArgumentType]
+    folder = spec.folder(settings.run)
+    for needed in spec.needs:
+        _check_preset(stages.STAGES[needed].folder(settings.run), settings.preset)
+    torch.manual_seed(settings.seed)
+    stage = build(
+        name,
+        StageSettings(
+            settings.data,
+            preset,
+            settings.run,
+            schedule.steps,
+            settings.seed,
+            settings.workers,
+            settings.real,
+        ),
+    )
     facts: dict[str, Any] = {
+        "stage": name,
         "preset": settings.preset,
         "set": sorted(settings.switches),
         "data": str(settings.data.resolve()),
+        **stage.facts,
     }
-    folder, real = settings.run / name, None
-    torch.manual_seed(settings.seed)
-    if name == "joint":
-        for earlier in stages.STAGES:
-            _check_preset(settings.run / earlier, settings.preset)
-        if settings.clips is not None:
-            share, light = settings.real_share, settings.real_light
-            real = stages.real_clips(
-                settings.clips, settings.run, preset, settings.seed, share, light
-            )
-            facts |= {"clips": str(settings.clips.resolve()), "real": share, "real light": light}
-    made = stages.make(
-        name, settings.data, preset, settings.seed, settings.workers, schedule.steps, real
-    )
-    if isinstance(made, JointStage):
-        if checkpoints.latest(folder) is None:
-            made.start_from(settings.run)
-        for term, reason in made.off.items():
-            print(f"without {term}: {reason}", flush=True)
+    if checkpoints.latest(folder) is None:
+        stage.start_from(settings.run)
+    for term, reason in stage.off.items():
+        log.info("%s: without %s: %s", name, term, reason)
     try:
-        figures = loop.train(made, folder, schedule, settings.seed, facts, settings.machine)
+        figures = loop.train(stage, folder, schedule, settings.seed, facts, settings.machine)
     except OSError as error:
         if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
             raise
         raise InputError(
-            f"{folder}: cannot be written into ({error.strerror}); make room and run the "
-            "same command again: it goes on from the last checkpoint"
+            f"{folder}: cannot be written to ({error.strerror}); free disk space and run the "
+            "same command again: training resumes from the last checkpoint"
         ) from None
-    for figure, value in figures.items():
-        print(f"{name}: {figure}: {value:.4g}", flush=True)
-    for key, reason in made.skipped.items():
-        print(f"skipped {key}: {reason}", flush=True)
+    for key, reason in stage.skipped.items():
+        log.warning("%s: skipped %s: %s", name, key, reason)
+    return figures
 
 
-def _train_chain(names: tuple[str, ...], settings: RunSettings) -> None:
-    for name in names:
-        train_stage(name, settings)
+def evaluate(run: Path, data: Path, split: str) -> dict[str, Figures]:
+    """Figures of every stage that was trained in `run`, on all of a split of any dataset.
+
+    Raises:
+        InputError: nothing was trained there, or there is no such dataset or split.
+    """
+    found = {}
+    for spec in stages.STAGES.values():
+        folder = spec.folder(run)
+        if checkpoints.best_step(folder) is None:
+            continue
+        config, preset = checkpoints.read_config(folder), checkpoints.preset_of(folder)
+        settings = StageSettings(Path(config["data"]), preset, run, config["steps"])
+        stage = build(spec.name, settings)
+        stage.validate_on(data, split)
+        checkpoints.load_best(folder, stage.network)
+        with torch.no_grad():
+            found[spec.name] = stage.validate(stage.network.eval()).figures
+    if not found:
+        raise InputError(f"{run}: nothing was trained there; train it first")
+    return found
 
 
-def _side_by_side(settings: RunSettings, threads: int) -> None:
+def _side_by_side(
+    names: tuple[str, ...], settings: RunSettings, threads: int
+) -> dict[str, Figures]:
     context = get_context("spawn")
-    with ProcessPoolExecutor(len(CHAINS), context, _begin_process, (threads,)) as pool:
+    with ProcessPoolExecutor(PROCESSES, context, _begin_process, (threads,)) as pool:
         try:
-            for done in as_completed(
-                [pool.submit(_train_chain, names, settings) for names in CHAINS]
-            ):
-                done.result()
+            jobs = {pool.submit(train_stage, name, settings): name for name in names}
+            found = {jobs[job]: job.result() for job in as_completed(jobs)}
         except BaseException as error:  # the others need not finish
+            pool.shutdown(wait=False, cancel_futures=True)
             for child in active_children():
                 child.terminate()
             if not isinstance(error, BrokenProcessPool):
                 raise
             raise InputError(
-                f"{settings.run}: a process that trained was killed; if memory was short, give a "
-                "smaller --batch; the same command again goes on from the last checkpoints"
+                f"{settings.run}: a training process was killed; if memory ran out, give a "
+                "smaller --batch; the same command again resumes from the last checkpoints"
             ) from None
+    return {name: found[name] for name in names}
 
 
 def _begin_process(threads: int) -> None:
     """In a process of a pool: its share of the cores, and no life beyond its parent's."""
+    set_up_logging()
     torch.set_num_threads(threads)
     Thread(target=_end_with_parent, daemon=True).start()
 
@@ -150,13 +191,13 @@ def _end_with_parent() -> None:
     os._exit(1)
 
 
-def _check_preset(run: Path, preset: str) -> None:
-    """What was trained in `run`, if anything, has the sizes of `preset`."""
-    if checkpoints.best_step(run) is None:
+def _check_preset(folder: Path, preset: str) -> None:
+    """What was trained in `folder`, if anything, has the sizes of `preset`."""
+    if checkpoints.best_step(folder) is None:
         return
-    before = checkpoints.read_config(run)["preset"]
+    before = checkpoints.read_config(folder)["preset"]
     if before != preset:
         raise InputError(
-            f"{run}: was trained with preset = {before}, not {preset}; give --preset {before}, or "
-            "another --out"
+            f"{folder}: was trained with preset = {before}, not {preset}; give --preset {before}, "
+            "or another --out"
         )

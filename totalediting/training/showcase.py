@@ -1,8 +1,8 @@
-"""A page of what a trained run does: sources, result, truth and decomposition of held-out people.
+"""A page of results of a trained run: source, result, truth, decomposition of held-out people.
 
-A row is a pair of pictures of one person who was not trained on, each row of another. The light
-that is given is that of the driver's panorama; "seen light" is what the lightmap estimator makes of
-the driver's picture, in the driver's camera's frame, where the run has one.
+Each row is a pair of pictures of one person held out of training. The model is given the light of
+the driver's panorama; "seen light" is what the run's lightmap estimator, if there is one, finds in
+the driver's picture, in the frame of its camera.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from torch.nn import functional
 
 from assets_procedural.conventions.files import replacing
 from totalediting.data.endless import collate
-from totalediting.data.pairs import PortraitPairs, Sample
+from totalediting.data.pairs import PortraitPair, PortraitPairs
 from totalediting.geometry.identity import faces_of
 from totalediting.light import phong
 from totalediting.light.pictures import EDGE, FAINT, GAP, INK, PAPER
@@ -27,20 +27,21 @@ from totalediting.presets import Preset
 from totalediting.training import checkpoints, metrics
 from totalediting.training.joint import Joint
 from totalediting.training.reconstruction import decomposition, edit_of
+from totalediting.training.stages import STAGES
 
 _TILE = 128
 _SPECULAR = 3  # of the lightmaps, the one that is shown: n = 32
 
 
 def load_model(run: Path) -> TotalEditing:
-    """A run's model: the best of the stage `joint`, or of `reconstruct` where that is the last.
+    """A run's model: the best of the stage `joint`, or else of `reconstruct`.
 
     Raises:
         InputError: neither was trained there.
     """
     if (joint := _joint(run)) is not None:
         return joint.model.eval()
-    folder = run / "reconstruct"
+    folder = STAGES["reconstruct"].folder(run)
     model = TotalEditing(*_built(folder))
     checkpoints.load_best(folder, model)
     return model.eval()
@@ -50,7 +51,7 @@ def load_estimator(run: Path) -> LightmapEstimator | None:
     """A run's lightmap estimator, from `joint` or `lightmaps`; None if it has none."""
     if (joint := _joint(run)) is not None:
         return joint.estimator.eval()
-    folder = run / "lightmaps"
+    folder = STAGES["lightmaps"].folder(run)
     if checkpoints.best_step(folder) is None:
         return None
     estimator = LightmapEstimator(_built(folder)[0])
@@ -59,7 +60,7 @@ def load_estimator(run: Path) -> LightmapEstimator | None:
 
 
 def _joint(run: Path) -> Joint | None:
-    folder = run / "joint"
+    folder = STAGES["joint"].folder(run)
     if checkpoints.best_step(folder) is None:
         return None
     joint = Joint(*_built(folder))
@@ -100,11 +101,11 @@ def draw(run: Path, data: Path, target: Path, rows: int = 6, split: str = "test"
     return _page(columns, title, target)
 
 
-def of_different_people(pairs: PortraitPairs, count: int) -> list[Sample]:
+def of_different_people(pairs: PortraitPairs, count: int) -> list[PortraitPair]:
     """A sample each of `count` subjects, or of all where there are fewer."""
     subject_of = dict(zip(pairs.keys, pairs.shots.subjects, strict=True))
     people = min(count, len(set(subject_of.values())))
-    found: dict[str, Sample] = {}
+    found: dict[str, PortraitPair] = {}
     for number in range(len(pairs)):
         if len(found) == people:
             break

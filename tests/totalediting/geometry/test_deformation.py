@@ -57,7 +57,7 @@ def generator() -> torch.Generator:
 def way(request, monkeypatch) -> None:
     """Both ways of one computation; "at once" is that of a GPU."""
     for module in ("moving_least_squares", "field"):
-        name = f"totalediting.geometry.{module}.at_once"
+        name = f"totalediting.geometry.{module}.favours_few_operations"
         monkeypatch.setattr(name, lambda _: request.param == "at once")
 
 

@@ -19,13 +19,13 @@ from answer import Answer
 from PIL import Image
 
 from assets_procedural.conventions import panorama, panorama_files
+from assets_procedural.conventions.colour import KNEE
 from assets_procedural.light.pool import EnvironmentSettings, pool
 from totalediting import cli
 from totalediting.errors import InputError
 from totalediting.light import lightmaps
 from totalediting.light.ball import shade_ball
 from totalediting.light.files import read_lightmaps, write_lightmaps
-from totalediting.light.phong import KNEE
 from totalediting.light.pictures import exposure_of
 
 CHANNELS = {f"{lobe}.{c}" for lobe in lightmaps.LOBES for c in "RGB"}
@@ -188,15 +188,14 @@ def test_errors_are_one_line(
     assert "--albedo: 1,2,3: give 3 numbers from 0 to 1" in fails("--albedo", "1,2,3")
     assert "--albedo: red: give 3 numbers" in fails("--albedo", "red")
     assert "--kd: nan: give a number of at least 0" in fails("--kd", "nan")
-    assert "--device: gpu: choose cpu or cuda" in fails("--device", "gpu")
     assert "maps.jpg: is written as .png" in fails("--picture", tmp_path / "maps.jpg")
     assert f"there is no folder {tmp_path}/no" in fails("--ball", tmp_path / "no" / "ball.png")
     same = ("--picture", tmp_path / "a.png", "--ball", tmp_path / "a.png")
-    assert "a.png: is the file of --picture as well; give another name" in fails(*same)
+    assert "a.png: is also the file of --picture; give another name" in fails(*same)
     (tmp_path / "folder.png").mkdir()
     assert "is a folder; give a file's name" in fails("--ball", tmp_path / "folder.png")
     onto = failure("bake", environment, "--out", environment)
-    assert onto == f"error: --out: {environment}: is the panorama as well; give another name"
+    assert onto == f"error: --out: {environment}: is also the panorama; give another name"
     assert "maps: is written as .exr" in failure("bake", environment, "--out", tmp_path / "maps")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["folder.png", "sky.exr"]
 
@@ -213,6 +212,15 @@ def test_a_full_disk_is_one_line_and_leaves_nothing(
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert line.startswith(f"error: {out}: cannot be written (")
     assert [p.name for p in tmp_path.iterdir()] == ["sky.exr"]
+
+
+def test_another_device_is_refused_and_the_choices_are_named(
+    totalediting: Run, environment: Path, tmp_path: Path
+) -> None:
+    given = ("bake", environment, "--out", tmp_path / "maps.exr", "--device", "gpu")
+    said = totalediting(*given)
+    assert said.returncode == 2 and "'--device'" in said.stderr
+    assert "'cpu', 'cuda'" in said.stderr
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a CUDA device")

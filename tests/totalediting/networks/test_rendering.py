@@ -290,7 +290,7 @@ def learnt(batch: int = 2, **changes: Any) -> dict[str, Any]:
         "intrinsics": intrinsics.expand(batch, -1, -1),
         "lightmaps": light(batch).requires_grad_(),
         "to_light": rotation(4).expand(batch, -1, -1),
-        "field": None,
+        "deformation": None,
         "preset": preset,
     }
 

@@ -49,7 +49,7 @@ def test_a_damaged_checkpoint_is_passed_over(tmp_path: Path, damage: str) -> Non
         (path / "state.safetensors").unlink()
     else:
         (path / "facts.json").write_text("{")
-    with pytest.raises(InputError, match="no whole checkpoint"):
+    with pytest.raises(InputError, match="incomplete or corrupt checkpoint"):
         checkpoints.read(path)
     assert checkpoints.latest(tmp_path).step == 1  # pyright: ignore[reportOptionalMemberAccess]
 
@@ -63,7 +63,7 @@ def test_a_full_disk_loses_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
     monkeypatch.setattr(checkpoints, "save_file", full)
     with pytest.raises(
-        InputError, match=r"step 2 cannot be saved .*No space.*step 1 is whole"
+        InputError, match=r"step 2 cannot be saved .*No space.*step 1 is intact"
     ) as e:
         checkpoints.save(tmp_path, checkpoint(2), is_best=True)
     assert "\n" not in str(e.value)
@@ -123,3 +123,15 @@ def test_weights_of_another_network_are_refused_in_one_line(tmp_path: Path) -> N
     assert torch.equal(other.weight, layer.weight)
     with pytest.raises(InputError, match="preset = tiny, decoder=plain"):
         checkpoints.load_best(tmp_path, torch.nn.Linear(3, 2))
+
+
+def test_figures_of_an_older_checkpoint_have_todays_names(tmp_path: Path) -> None:
+    old = {"PSNR": 24.0, "normal, mean °": 22.0, "head": 0.1, "of my own": 1.0}
+    facts = {"step": 1, "figures": old, "lowest": -24.0, "best": True}
+    checkpoints.save(tmp_path, Checkpoint({}, {}, {}, facts), is_best=True)
+    assert checkpoints.best(tmp_path).facts["figures"] == {
+        "psnr": 24.0,
+        "normal_error": 22.0,
+        "head_error": 0.1,
+        "of my own": 1.0,
+    }

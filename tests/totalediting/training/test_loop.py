@@ -13,7 +13,7 @@ import toy_training
 from toy_training import SCHEDULE, Line
 
 from totalediting.errors import InputError
-from totalediting.training import checkpoints
+from totalediting.training import checkpoints, loop
 from totalediting.training.loop import learning_rate, paced, train
 
 FACTS = {"data": "line"}
@@ -45,6 +45,17 @@ def test_it_learns(uninterrupted: Path) -> None:
     assert list((uninterrupted / "tensorboard").iterdir())
 
 
+def test_a_step_by_itself_is_the_one_of_training(uninterrupted: Path) -> None:
+    stage = Line()
+    training = loop.Training(loop.launch(loop.Machine()), stage, SCHEDULE)
+    parts: list[str] = []
+    for (number, loss), batch in zip(
+        losses(uninterrupted)[:3], stage.batches(0, 8, 0, 1), strict=False
+    ):
+        assert loop.step(training, batch, number, parts.append).loss == loss
+    assert parts == 3 * ["forward", "backward", "update"]
+
+
 def test_in_pieces_it_is_the_same_to_the_bit(uninterrupted: Path, tmp_path: Path) -> None:
     for _ in range(4):
         train(Line(), tmp_path, SCHEDULE, 0, FACTS, stop_after=17)
@@ -74,7 +85,7 @@ def test_two_processes_train_one_network(tmp_path: Path) -> None:
     assert sum(curve[-10:]) < 0.2 * sum(curve[:10])
 
 
-def test_a_step_whose_loss_is_no_number_changes_nothing(tmp_path: Path) -> None:
+def test_a_step_whose_loss_is_nan_changes_nothing(tmp_path: Path) -> None:
     stage = Line(broken=range(5))
     before = {name: value.clone() for name, value in stage.network.state_dict().items()}
     train(stage, tmp_path, SCHEDULE, 0, FACTS, stop_after=5)
@@ -82,8 +93,10 @@ def test_a_step_whose_loss_is_no_number_changes_nothing(tmp_path: Path) -> None:
         assert torch.equal(before[name], value)
 
 
-def test_a_loss_that_stays_no_number_ends_in_one_line(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"no number 20 times in a row at step 4\d") as error:
+def test_a_loss_that_stays_nan_ends_in_one_line(tmp_path: Path) -> None:
+    with pytest.raises(
+        InputError, match=r"NaN or infinite for 20 consecutive steps, at step 4\d"
+    ) as error:
         train(Line(broken=range(25, 99)), tmp_path, SCHEDULE, 0, FACTS)
     assert "\n" not in str(error.value)
     assert checkpoints.latest(tmp_path).step == 40  # pyright: ignore[reportOptionalMemberAccess]
@@ -101,7 +114,7 @@ def test_the_average_is_what_is_validated(uninterrupted: Path) -> None:
     stage = Line()
     stage.network.load_state_dict(found.average)
     with torch.no_grad():
-        error = stage.validate(stage.network.eval())[0]
+        error = stage.validate(stage.network.eval()).score
     assert error == found.facts["figures"]["error"]
 
 

@@ -11,8 +11,8 @@ from synthgen.planning.job import JobSpec
 from totalediting.data.pairs import PortraitPairs
 from totalediting.presets import PRESETS
 from totalediting.training import loop, losses
-from totalediting.training.loop import Schedule
 from totalediting.training.reconstruction import ReconstructStage
+from totalediting.training.stages import Schedule
 
 STEPS = 1000
 
@@ -48,4 +48,4 @@ def test_one_person_is_learnt_by_heart(tmp_path: Path) -> None:
     stage.train = stage.held_out = PortraitPairs(data, tiny, "train", seed=0)
     schedule = Schedule(STEPS, batch=4, learning_rate=1.5e-3, average=0.98)
     figures = loop.train(stage, tmp_path / "run", schedule, 0, {"preset": "tiny", "set": []})
-    assert figures["PSNR"] >= 30 > figures["PSNR of the source"]
+    assert figures["psnr"] >= 30 > figures["source_psnr"]

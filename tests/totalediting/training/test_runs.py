@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
+import re
 import signal
 import subprocess
 import sys
 import time
+from graphlib import CycleError
+from pathlib import Path
 
 import pytest
 import torch
@@ -16,11 +20,12 @@ from totalediting.training import runs, stages
 from totalediting.training.loop import fastest_precision
 
 PARENT = """
-import multiprocessing, os, time
+import logging, multiprocessing, os, time
 from totalediting.training import runs
 
 def child(parent):
     runs._begin_process(1)
+    logging.getLogger("totalediting.training").info("it began")
     parent.send(os.getpid())
     time.sleep(600)
 
@@ -33,18 +38,42 @@ if __name__ == "__main__":
 """
 
 
-def test_every_stage_is_trained_once_and_the_joint_one_last() -> None:
-    chained = [name for names in runs.CHAINS for name in names]
-    assert sorted([*chained, "joint"]) == sorted(stages.STAGES)
+def test_stages_train_after_those_that_they_need() -> None:
+    waves = list(stages.waves())
+    assert waves == [("reconstruct", "tracker", "lightmaps"), ("joint",)]
+    trained: set[str] = set()
+    for names in waves:
+        assert all(set(stages.STAGES[name].needs) <= trained for name in names)
+        trained |= set(names)
+    assert trained == set(stages.STAGES)
+
+
+def test_stages_that_need_each_other_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    tracker = dataclasses.replace(stages.STAGES["tracker"], needs=("joint",))
+    monkeypatch.setitem(stages.STAGES, "tracker", tracker)
+    with pytest.raises(CycleError):
+        list(stages.waves())
+
+
+def test_the_documentation_has_every_stage() -> None:
+    page = (Path(__file__).parents[3] / "docs" / "model.md").read_text()
+    (table,) = re.findall(r"^\| stage \| learns .*\n((?:\|.*\n)+)", page, re.MULTILINE)
+    assert set(re.findall(r"^\| `(\w+)` \|", table, re.MULTILINE)) == set(stages.STAGES)
+
+
+def test_naming_the_stages_imports_no_torch() -> None:
+    code = "import sys, totalediting.training.stages; sys.exit('torch' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
 def test_a_training_process_does_not_outlive_its_parent() -> None:
     """Else a killed run that is resumed would have two writers."""
     with subprocess.Popen(
-        [sys.executable, "-c", PARENT], stdout=subprocess.PIPE, text=True
+        [sys.executable, "-c", PARENT], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as parent:
-        assert parent.stdout is not None
+        assert parent.stdout is not None and parent.stderr is not None
         child = int(parent.stdout.readline())
+        assert parent.stderr.readline() == "it began\n", "it shows what libraries log"
         os.kill(child, 0)
         parent.send_signal(signal.SIGKILL)
     for _ in range(100):
@@ -80,7 +109,7 @@ def test_who_asks_a_processor_for_bfloat16_that_it_emulates_is_told(
     monkeypatch: pytest.MonkeyPatch, run_main, can: bool
 ) -> None:
     monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: {"avx512_bf16": can}, raising=False)
-    monkeypatch.setattr(runs, "train_stage", lambda stage, settings: None)
+    monkeypatch.setattr(runs, "train_stage", lambda stage, settings: {})
     said = run_main(
         *(cli.main, "train", "tracker", "DATA", "--out", "RUN", "--precision", "bf16-mixed")
     )

@@ -24,11 +24,14 @@ from totalediting.networks.head_tracker import HeadTracker
 from totalediting.presets import PRESETS, preset_with
 from totalediting.pretrained import lpips, sface
 from totalediting.pretrained.fetch import NetworkError
-from totalediting.training import checkpoints, losses, reconstruction, showcase, stages
+from totalediting.training import checkpoints, loop, losses, reconstruction, showcase
 from totalediting.training import joint as joint_stage
 from totalediting.training.joint import JointStage, RealClips
-from totalediting.training.reconstruction import ReconstructStage, edit_of
-from totalediting.training.stages import LightmapStage, TrackerStage
+from totalediting.training.lightmaps import LightmapStage
+from totalediting.training.reconstruction import ReconstructStage, build, edit_of
+from totalediting.training.stage import RealVideo, StageSettings
+from totalediting.training.stages import STAGES, Schedule
+from totalediting.training.tracker import TrackerStage
 
 Run = Callable[..., Answer]
 
@@ -54,6 +57,26 @@ def test_a_stage_trains_and_resumes(
     assert (checkpoints.best_step(tmp_path / "run" / stage)) == 3
     again = totalediting(*arguments, "--out", tmp_path / "run", "--steps", 3)
     assert again.returncode == 0 and again.stdout.splitlines()[-1] in whole.stdout
+
+
+@pytest.mark.parametrize("workers", [0, 1])
+def test_a_resumed_stage_draws_what_it_would_have_drawn(
+    small_dataset: Path, tmp_path: Path, workers: int
+) -> None:
+    """The data's iterator starts anew, which must not shift the random numbers of a step."""
+
+    def train(run: Path, stop_after: int | None = None) -> None:
+        torch.manual_seed(0)
+        settings = StageSettings(small_dataset, PRESETS["tiny"], run, 4, workers=workers)
+        stage = build(settings)
+        stage.most = 1
+        loop.train(stage, run, Schedule(4, 1), 0, {}, stop_after=stop_after)
+
+    train(tmp_path / "whole")
+    for _ in range(2):
+        train(tmp_path / "parts", stop_after=2)
+    whole, parts = (tmp_path / run / "losses.jsonl" for run in ("whole", "parts"))
+    assert parts.read_text() == whole.read_text()
 
 
 @pytest.mark.parametrize("kind", [TrackerStage, LightmapStage])
@@ -100,17 +123,14 @@ def test_reconstruction_counts_only_the_subject(small_dataset: Path) -> None:
 def test_the_mean_light_scores_one_against_itself(small_dataset: Path) -> None:
     stage = LightmapStage(small_dataset, PRESETS["tiny"], seed=0, workers=0)
     with torch.no_grad():
-        value, figures, pictures = stage.validate(stage.network.eval())
-    assert value == figures["light / mean light"] > 0
-    assert pictures["light"].shape[0] == 3
+        found = stage.validate(stage.network.eval())
+    assert found.score == found.figures["relative_light_error"] > 0
+    assert found.pictures["light"].shape[0] == 3
 
 
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["speech", "DATA"], "STAGE: speech: choose tracker, lightmaps, reconstruct, joint or all"),
-        (["tracker", "DATA", "--preset", "huge"], "--preset: huge: choose tiny, small or full"),
-        (["tracker", "DATA", "--precision", "8"], "--precision: 8: choose 32-true"),
         (["tracker", "DATA", "--learning-rate", "0"], "--learning-rate: 0.0: give a number"),
         (["tracker", "DATA", "--device", "cuda"], "PyTorch finds no CUDA device here"),
         (["tracker", "nowhere"], "nowhere"),
@@ -138,8 +158,20 @@ def test_another_preset_in_the_folder_is_refused(
     )
 
 
-def test_every_stage_has_a_schedule() -> None:
-    assert stages.STAGES == ("tracker", "lightmaps", "reconstruct", "joint")
+@pytest.mark.parametrize(
+    ("arguments", "option", "choices"),
+    [
+        (["speech", "DATA"], "STAGE", (*STAGES, "all")),
+        (["tracker", "DATA", "--preset", "huge"], "--preset", tuple(PRESETS)),
+        (["tracker", "DATA", "--precision", "8"], "--precision", ("32-true", "bf16-mixed", "auto")),
+    ],
+)
+def test_another_choice_is_refused_and_the_choices_are_named(
+    totalediting: Run, arguments: list[str], option: str, choices: tuple[str, ...]
+) -> None:
+    said = totalediting("train", *arguments, "--out", "RUN")
+    assert said.returncode == 2 and option in said.stderr
+    assert ", ".join(f"'{choice}'" for choice in choices) in " ".join(said.stderr.split())
 
 
 def test_all_stages_in_order_and_the_joint_one_goes_on_from_them(
@@ -150,10 +182,10 @@ def test_all_stages_in_order_and_the_joint_one_goes_on_from_them(
     run = ["train", "all", small_dataset, "--out", tmp_path / "run", "--batch", 1]
     said = totalediting(*run, "--steps", 2, "--workers", 0)
     assert said.returncode == 0, said.stderr
-    assert "without lpips: lpips_alex: not here" in said.stdout
-    assert "without identity: sface: not here" in said.stdout
+    assert "joint: without lpips: lpips_alex: not here" in said.stderr
+    assert "joint: without identity: sface: not here" in said.stderr
     assert "joint: PSNR" in said.stdout
-    assert {p.name for p in (tmp_path / "run").iterdir()} == set(stages.STAGES)
+    assert {p.name for p in (tmp_path / "run").iterdir()} == set(STAGES)
     other = totalediting(*run, "--steps", 2, "--workers", 0, "--seed", 1)
     assert "seed = 0" in other.error
     alone = ["train", "joint", small_dataset, "--out", tmp_path / "other", "--batch", 1]
@@ -169,15 +201,15 @@ def test_real_clips_are_trained_on_beside_synthetic_pairs(
         (tmp_path / "clips" / "one").mkdir(parents=True, exist_ok=True)
         Image.new("RGB", (40, 30), (60 * k, 90, 120)).save(tmp_path / "clips/one" / f"{k}.png")
     run = [small_dataset, "--out", tmp_path / "run", "--batch", 1, "--workers", 0]
-    for stage in stages.STAGES[:-1]:
+    for stage in STAGES["joint"].needs:
         assert totalediting("train", stage, *run, "--steps", 1).returncode == 0
     joint = ["train", "joint", *run, "--steps", 4, "--clips", tmp_path / "clips"]
     said = totalediting(*joint, "--real-light", "consistent")
     assert said.returncode == 0, said.stderr
-    real = ["real final" in line for line in trained(tmp_path / "run", "joint")]
+    real = ["real_final" in line for line in trained(tmp_path / "run", "joint")]
     assert real == [False, True, False, True]
     lines = trained(tmp_path / "run", "joint")
-    assert "real lightmap" in lines[1] and "real albedo" not in lines[1]
+    assert "real_lightmap" in lines[1] and "real_albedo" not in lines[1]
     assert "give the same" in totalediting(*joint, "--real-light", "same").stderr
     none = ["train", "joint", *run, "--steps", 1, "--clips", tmp_path / "run"]
     assert "no clip in it" in totalediting(*none).error
@@ -201,21 +233,21 @@ def test_a_real_face_is_compared_where_the_tracker_finds_it(
     torch.manual_seed(0)
     tiny, frame = PRESETS["tiny"], torch.rand(1, 3, 128, 128)
     tracker = HeadTracker(tiny).eval()
-    real = RealClips(None, tracker, 1.0)  # pyright: ignore[reportArgumentType]
+    real = RealClips(None, tracker, RealVideo(Path(), 1.0))  # pyright: ignore[reportArgumentType]
     weights = dataclasses.replace(losses.OURS, identity_from=0, tv=0.0)
     stage = JointStage(small_dataset, tiny, 0, 0, weights=weights, real=real)
     empty = torch.zeros(1, 3, 128, 128)
     matte, unknown = torch.ones(1, 1, 128, 128), torch.tensor([False])
     clip = ClipPair(frame, frame.flip(-1), frame, matte, unknown, empty, ["clip"])
     loss, said = stage.loss(stage.network, clip, 0)
-    assert said["real identity"] > 0 and torch.isfinite(loss)
+    assert said["real_identity"] > 0 and torch.isfinite(loss)
     wanted = tracker(clip.mot_image).points(128)
     assert len(asked) == 2 and all(torch.equal(points, wanted) for points in asked)
 
 
 def test_real_steps_are_spread_evenly(small_dataset: Path) -> None:
     for share, wanted in ((0.0, 0), (0.25, 10), (0.5, 20), (1.0, 40)):
-        real = RealClips(None, None, share)  # pyright: ignore[reportArgumentType]
+        real = RealClips(None, None, RealVideo(Path(), share))  # pyright: ignore[reportArgumentType]
         steps = [step for step in range(40) if real.at(step)]
         assert len(steps) == wanted == real.before(40)
         assert all(real.before(step) == k for k, step in enumerate(steps))
@@ -229,7 +261,7 @@ def test_switches_make_another_run(totalediting: Run, small_dataset: Path, tmp_p
     surface = ["--set", "deformation=surface_field", "--set", "rotation=surface_field"]
     assert "set = ['decoder=plain']" in totalediting(*run, "--out", tmp_path / "plain").error
     assert (
-        "--set: decoder=none: choose of"
+        "--set: decoder=none: choose one of"
         in totalediting(*run, "--out", tmp_path, "--set", "decoder=none").error
     )
     assert preset_with("tiny", surface[1::2]).deformation == "surface_field"
@@ -274,7 +306,7 @@ def test_deformations_are_solved_once(small_dataset: Path, monkeypatch: pytest.M
     other = batch._replace(key=keys, control=control)
     again = stage.deformation(stage.network, other)
     assert asked == [2] and torch.equal(again.values, found.mirrored().values)
-    monkeypatch.setattr(reconstruction, "_ROOM", 0)
+    monkeypatch.setattr(reconstruction, "_CACHE", 0)
     stage.deformation(stage.network, batch)
     assert not stage._tables
 
@@ -338,7 +370,7 @@ def test_a_trained_run_is_shown(totalediting: Run, small_dataset: Path, tmp_path
     with Image.open(page) as picture:
         assert picture.width > 11 * 128 and picture.height > 2 * 128
     figures = totalediting("evaluate", tmp_path / "run", small_dataset, "--split", "validation")
-    assert "lightmaps: light / mean light: " in figures.stdout
+    assert "lightmaps: light error / that of the mean light: " in figures.stdout
     assert "reconstruct: PSNR of the source: " in figures.stdout
     empty = totalediting("evaluate", tmp_path, small_dataset).error
     assert "nothing was trained there" in empty
