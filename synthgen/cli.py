@@ -294,13 +294,7 @@ def browse(
     ] = False,
 ) -> None:
     """Open a dataset as a web page: search it, look at every pass, move the light."""
-    from synthgen.errors import JobError
-
-    try:
-        from synthgen.browse.serve import serve
-    except ModuleNotFoundError as error:
-        remedy = f"needs {error.name}; pip install 'synthgen[browse]'"
-        raise JobError("synthgen browse", "", "", remedy) from None
+    from synthgen.browse.serve import serve
 
     def ready(address: str) -> None:
         if open_:

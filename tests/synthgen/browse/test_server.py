@@ -387,11 +387,10 @@ def test_what_cannot_light_is_refused_in_one_line(ask: TestClient, monkeypatch: 
     assert answer.json()["error"].startswith("the file: cannot be read")
     monkeypatch.setattr("synthgen.browse.light.LARGEST_UPLOAD", 10)
     assert ask.post("/lightmaps", content=b"#?RADIANCE and more").status_code == 413
-    monkeypatch.setitem(sys.modules, "totalediting.light.environments", None)
-    monkeypatch.delattr("totalediting.light.environments", raising=False)
+    monkeypatch.setitem(sys.modules, "totalediting.light.arrays", None)
     answer = ask.get("/lightmaps/city")
     assert answer.status_code == 501
-    assert "pip install 'synthgen[model]'" in answer.json()["error"]
+    assert "pip install 'totalediting[model]'" in answer.json()["error"]
 
 
 def test_a_subject_has_the_cameras_of_its_shots(ask: TestClient, stored: Dataset):
@@ -559,4 +558,4 @@ def test_without_the_extra_the_command_names_it(
     monkeypatch.setitem(sys.modules, "uvicorn", None)
     monkeypatch.delitem(sys.modules, "synthgen.browse.serve", raising=False)
     answer = run_main(cli.main, "browse", small_dataset)
-    assert "pip install 'synthgen[browse]'" in answer.error
+    assert "pip install 'totalediting[browse]'" in answer.error
