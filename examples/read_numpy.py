@@ -1,6 +1,6 @@
 """Read a dataset with numpy: pick shots with SQL, look at their passes, at their labels, at light.
 
-    python examples/read_numpy.py out/demo
+python examples/read_numpy.py out/demo
 """
 
 from __future__ import annotations

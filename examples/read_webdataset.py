@@ -1,6 +1,6 @@
 """Read a dataset's shards with webdataset: no package of this project is imported.
 
-    python examples/read_webdataset.py out/demo
+python examples/read_webdataset.py out/demo
 """
 
 from __future__ import annotations

@@ -65,5 +65,7 @@ def test_a_task_of_the_array_renders_its_slice(tmp_path: Path):
     words = shlex.split(said)
     assert words[:4] == ["render", "paper", "--out", "/data/paper"]
     assert words[words.index("--shard") + 1] == "3/64"
-    help_text = run(sys.executable, "-c", "from synthgen.cli import main; main()", "render", "--help")
+    help_text = run(
+        sys.executable, "-c", "from synthgen.cli import main; main()", "render", "--help"
+    )
     assert {word for word in words if word.startswith("--")} <= set(help_text.split())

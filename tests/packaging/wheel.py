@@ -56,7 +56,9 @@ class Environment:
     def run(self, program: str, *arguments: str | Path) -> str:
         """Run a program of the environment outside the repository; its output, or the end."""
         command = [self.folder / "bin" / program, *map(str, arguments)]
-        print(f"  {self.name}$ {program} {' '.join(map(str, arguments))}".splitlines()[0], flush=True)
+        print(
+            f"  {self.name}$ {program} {' '.join(map(str, arguments))}".splitlines()[0], flush=True
+        )
         return _run(command, cwd=self.folder)
 
     def version(self, distribution: str) -> str:

@@ -16,7 +16,6 @@ from assets_procedural.conventions import command_line
 from assets_procedural.conventions.command_line import EXTRAS, run
 from assets_procedural.conventions.errors import UserError, one_line
 
-
 PROJECT = tomllib.loads((Path(__file__).parents[3] / "pyproject.toml").read_text())["project"]
 DISTRIBUTIONS = {"colour": "colour-science"}
 """Modules whose distribution has another name."""
