@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
@@ -131,7 +131,7 @@ def neck_rows() -> Iterator[list[str]]:
     for pose in POSES:
         bust = bust_of(pose)
         control = control_of(bust, dtype=torch.float64)
-        fields = {
+        fields: dict[str, Callable[[Tensor], Field]] = {
             f"MLS, α = {alpha:g}": (lambda p, a=alpha, c=control: mls(p, c, a))
             for alpha in (1.0, 1.5, 2.0, 3.0)
         }
@@ -316,12 +316,13 @@ def _panel(field, dots: Tensor, axes, plane, window) -> Image.Image:
 
     def place(points: Tensor) -> list[tuple[float, float]]:
         flat = (points[:, list(axes)].numpy() - middle) / extent * [1, -1] + 0.5
-        return [tuple(v) for v in (flat * TILE * scale).tolist()]
+        return [(x, y) for x, y in (flat * TILE * scale).tolist()]
 
     lines = torch.full((2, LINES, fine, 3), level, dtype=torch.float64)
     for along in (0, 1):
-        other = torch.linspace(*window[1 - along], LINES, dtype=torch.float64)
-        lines[along, ..., axes[along]] = torch.linspace(*window[along], fine, dtype=torch.float64)
+        (low, high), (left, right) = window[along], window[1 - along]
+        other = torch.linspace(left, right, LINES, dtype=torch.float64)
+        lines[along, ..., axes[along]] = torch.linspace(low, high, fine, dtype=torch.float64)
         lines[along, ..., axes[1 - along]] = other[:, None]
     found = field(lines.reshape(-1, 3))
     angle = angles(found.rotation, torch.eye(3, dtype=torch.float64)) / 35
@@ -339,11 +340,12 @@ def tint(share: float) -> tuple[int, int, int]:
     """Blue where R is the identity to orange where it is 35 degrees."""
     share = min(max(share, 0.0), 1.0)
     low, high = np.array([52, 105, 190]), np.array([232, 119, 34])
-    return tuple(int(v) for v in low + share * (high - low))
+    red, green, blue = (int(v) for v in low + share * (high - low))
+    return red, green, blue
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--device", default="cpu", choices=("cpu", "cuda"))
     parser.add_argument("--part", choices=("necks", "speed", "growth", "picture"))
     parser.add_argument("--whole", action="store_true", help="time the naive way on all samples")

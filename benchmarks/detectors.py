@@ -119,7 +119,7 @@ class YuNet:
     """OpenCV's FaceDetectorYN."""
 
     def __init__(self, weights: Path, score: float = 0.6) -> None:
-        import cv2
+        import cv2  # pyright: ignore[reportMissingImports]
 
         self._detector = cv2.FaceDetectorYN.create(str(weights), "", (0, 0), score)
 
@@ -137,7 +137,10 @@ class FaceLandmarker:
     """MediaPipe's face landmarker on single pictures."""
 
     def __init__(self, weights: Path) -> None:
-        from mediapipe.tasks.python import BaseOptions, vision
+        from mediapipe.tasks.python import (  # pyright: ignore[reportMissingImports]
+            BaseOptions,
+            vision,
+        )
 
         options = vision.FaceLandmarkerOptions(
             base_options=BaseOptions(model_asset_path=str(weights)),
@@ -148,7 +151,7 @@ class FaceLandmarker:
 
     def read(self, frame: Frame) -> Reading | None:
         """What it sees of the face, or None if it finds none where the face is."""
-        import mediapipe
+        import mediapipe  # pyright: ignore[reportMissingImports]
 
         picture = mediapipe.Image(mediapipe.ImageFormat.SRGB, np.ascontiguousarray(frame.image))
         result = self._landmarker.detect(picture)
@@ -231,7 +234,7 @@ def _progress(frames: list[Frame], name: str):
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("dataset", type=Path)
     parser.add_argument("--subset", help="only this subset")
     parser.add_argument("--yaw", type=float, default=45.0, help="largest yaw, degrees (45)")

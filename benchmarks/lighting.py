@@ -276,7 +276,7 @@ def speed(name: str, truth: torch.Tensor, device: str) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu")
     parser.add_argument(
         "--panorama", choices=sorted(BUNDLED), default="city", help="that times are taken with"

@@ -62,12 +62,9 @@ class Scores:
 def mean_picture(data: Path, model: TotalEditing) -> Tensor:
     """(3, S, S) the mean of the training pictures, over black."""
     pairs = PortraitPairs(data, model.preset, "train")
-    total = sum(
-        (batch.alpha * batch.mot_image).sum(0)
-        for batch in loader(pairs, AT_ONCE, stop=min(256, len(pairs)))
-    )
-    assert isinstance(total, Tensor)
-    return total / min(256, len(pairs))
+    count = min(256, len(pairs))
+    batches = loader(pairs, AT_ONCE, stop=count)
+    return torch.stack([(b.alpha * b.mot_image).sum(0) / count for b in batches]).sum(0)
 
 
 def relit(batch: Sample) -> Sample:

@@ -17,6 +17,7 @@ from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import report
@@ -67,8 +68,9 @@ def measure(index: int, resolution: int) -> dict[str, float]:
 
     def frame(samples: int, denoise: bool, light: int) -> float:
         scene.set_mode("beauty", samples)
-        bpy.context.scene.cycles.use_denoising = denoise
-        bpy.context.scene.render.use_compositing = denoise
+        settings: Any = bpy.context.scene  # pyright: ignore[reportAttributeAccessIssue]
+        settings.cycles.use_denoising = denoise
+        settings.render.use_compositing = denoise
         scene.set_light(folder / f"{lights[light].id}.exr", lights[light].rotation)
         with report.clock() as took:
             scene.render_passes()
@@ -148,7 +150,7 @@ def _subject(index: int, resolution: int):
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--subjects", type=int, default=3)
     parser.add_argument("--resolutions", type=int, nargs="+", default=[128, 256, 512])
     parser.add_argument(

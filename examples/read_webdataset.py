@@ -8,13 +8,13 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-import webdataset
+from webdataset import WebDataset  # pyright: ignore[reportAttributeAccessIssue]
 
 
 def main(folder: str) -> None:
     shards = sorted(str(path) for path in Path(folder, "data").glob("*/train-*.tar"))
     samples = (
-        webdataset.WebDataset(shards, shardshuffle=len(shards))
+        WebDataset(shards, shardshuffle=len(shards))
         .shuffle(100)
         .decode("rgb8")
         .to_tuple("rgb_00.png", "albedo.png", "meta.json")

@@ -27,6 +27,13 @@ from rich.table import Table
 ROOT = Path(__file__).parents[2]
 BLENDER = "python3.11"
 NEWER = ("python3.12", "python3.13", "python3.14")
+SMALL = {
+    "resolution": 64,
+    "samples": 2,
+    "subsets.multiview.subjects": 1,
+    "subsets.video.subjects": 1,
+}
+"""What of the job demo is made smaller."""
 READ = """
 import sys
 from synthgen import open_dataset
@@ -81,7 +88,7 @@ def main() -> None:
         dataset = folder / "demo"
 
         render = install(folder / "render", BLENDER, f"{wheel}[render]")
-        small = ["--set", "resolution=64", "--set", "samples=2", "--limit", "1"]
+        small = [f"--set={key}={value}" for key, value in SMALL.items()]
         render.run("synthgen", "render", "demo", "--out", dataset, *small)
         made.append(render)
 
