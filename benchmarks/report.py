@@ -79,7 +79,7 @@ def _status(field: str, process: int | None) -> float:
     except OSError:
         return 0.0
     lines = (line.split() for line in text.splitlines())
-    return next((int(line[1]) / 1e3 for line in lines if line[0] == f"{field}:"), 0.0)
+    return next((int(line[1]) * 1024 / 1e6 for line in lines if line[0] == f"{field}:"), 0.0)
 
 
 def _synchronise() -> None:
