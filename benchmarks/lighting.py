@@ -2,7 +2,7 @@
 
     python benchmarks/lighting.py [--device cpu] [--panorama city]
 
-Prints Markdown tables, in about four minutes on two cores. Errors are against the integral over all
+Prints tables, in about four minutes on two cores. Errors are against the integral over all
 texels at full resolution, in percent: relative L2 over the map, and in brackets the largest error
 by the map's peak. Times on a CPU are CPU seconds on one thread, on a GPU seconds; memory is what a
 fresh process takes beyond its imports and the panorama, tables included.
@@ -12,14 +12,13 @@ from __future__ import annotations
 
 import argparse
 import math
-import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from functools import lru_cache, partial
 from multiprocessing import get_context
-from pathlib import Path
 
 import numpy as np
+import report
 import torch
 from scipy.special import lpmv
 
@@ -144,26 +143,11 @@ METHODS: dict[str, Callable[[torch.Tensor], torch.Tensor]] = {
 }
 
 
-def clock(call: Callable[[], object], device: str) -> float:
+def seconds_of(call: Callable[[], object], device: str) -> float:
     """Seconds of one call; on a CPU its own, so that others do not count."""
-    if device == "cpu":
-        start = time.process_time()
+    with report.clock(device) as took:
         call()
-        return time.process_time() - start
-    torch.cuda.synchronize()
-    start = time.perf_counter()
-    call()
-    torch.cuda.synchronize()
-    return time.perf_counter() - start
-
-
-def memory(field: str, device: str) -> float:
-    """MB that this process holds now ("VmRSS") or held at most ("VmHWM")."""
-    if device != "cpu":
-        return torch.cuda.max_memory_allocated() / 1e6
-    # Not resource.getrusage: its peak survives exec and would be the parent's.
-    lines = Path("/proc/self/status").read_text().splitlines()
-    return next(int(line.split()[1]) for line in lines if line.startswith(field)) / 1e3
+    return took.cpu_seconds if device == "cpu" else took.seconds
 
 
 def measure(method: str, name: str, device: str) -> tuple[float, float, float, np.ndarray]:
@@ -175,11 +159,11 @@ def measure(method: str, name: str, device: str) -> tuple[float, float, float, n
     def call() -> None:
         found[:] = [METHODS[method](environment)]
 
-    before = memory("VmRSS", device)
-    first = clock(call, device)
-    later = [first] if first > 5.0 else [clock(call, device) for _ in range(15)]
-    peak = memory("VmHWM", device) - before
-    return first, float(np.median(later)), peak, found[0].cpu().numpy()
+    before = report.resident() if device == "cpu" else report.peak(device)
+    first = seconds_of(call, device)
+    later = [first] if first > 5.0 else [seconds_of(call, device) for _ in range(15)]
+    size = report.peak(device) - before
+    return first, float(np.median(later)), size, found[0].cpu().numpy()
 
 
 def costs(device: str) -> list[list[float]]:
@@ -195,8 +179,8 @@ def costs(device: str) -> list[list[float]]:
         calls.append((1, partial(bake, environments[0], height, turned)))
         row = []
         for batch, call in calls:
-            clock(call, device)
-            seconds = np.median([clock(call, device) for _ in range(7)])
+            seconds_of(call, device)
+            seconds = np.median([seconds_of(call, device) for _ in range(7)])
             row.append(1e3 * float(seconds) / batch)
         table.append(row)
     return table
@@ -211,13 +195,8 @@ def error(found: torch.Tensor, truth: torch.Tensor) -> list[tuple[float, float]]
     return [(100 * float(r), 100 * float(m)) for r, m in zip(relative, largest, strict=True)]
 
 
-def cells(errors: list[tuple[float, float]]) -> str:
-    return " | ".join(f"{relative:.2g} ({largest:.2g})" for relative, largest in errors)
-
-
-def head(first: str, *columns: str) -> None:
-    print(f"\n| {first} | " + " | ".join(columns) + " |")
-    print("|---" * (len(columns) + 1) + "|")
+def cells(errors: list[tuple[float, float]]) -> list[str]:
+    return [f"{relative:.2g} ({largest:.2g})" for relative, largest in errors]
 
 
 def truth_at(environments: torch.Tensor, directions: torch.Tensor) -> torch.Tensor:
@@ -231,18 +210,29 @@ def exactness(environments: torch.Tensor) -> torch.Tensor:
     texels = texel_directions(HEIGHT, torch.float64, environments.device).flatten(0, 1)
     truths = truth_at(environments, texels)
     for title, method in (("`bake`", ours), ("averaged, a matrix per lobe", averaged)):
-        head(f"{title}, {HEIGHT}×{2 * HEIGHT}", "peak radiance", *LOBES)
-        for name, environment, truth in zip(BUNDLED, environments, truths, strict=True):
-            errors = error(method(environment).flatten(-2), truth)
-            print(f"| {name} | {float(environment.max()):.0f} | {cells(errors)} |")
+        report.table(
+            [f"{title}, {HEIGHT}×{2 * HEIGHT}", "peak radiance", *LOBES],
+            (
+                [
+                    name,
+                    f"{float(environment.max()):.0f}",
+                    *cells(error(method(environment).flatten(-2), truth)),
+                ]
+                for name, environment, truth in zip(BUNDLED, environments, truths, strict=True)
+            ),
+        )
 
     matrix, _ = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))
     rotation = torch.from_numpy(matrix * np.linalg.det(matrix)).to(environments.device)
     turned = bake(environments, HEIGHT, rotation)[:, 1:].flatten(-2)[..., ::4]
     truths_turned = truth_at(environments, texels[::4] @ rotation.T)
-    head("`bake` into another frame, every fourth column", *LOBES)
-    for name, maps, truth in zip(BUNDLED, turned, truths_turned, strict=True):
-        print(f"| {name} | {cells(error(maps, truth))} |")
+    report.table(
+        ["`bake` into another frame, every fourth column", *LOBES],
+        (
+            [name, *cells(error(maps, truth))]
+            for name, maps, truth in zip(BUNDLED, turned, truths_turned, strict=True)
+        ),
+    )
     return truths
 
 
@@ -252,35 +242,41 @@ def look_ups(environments: torch.Tensor, peaks: torch.Tensor) -> None:
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     anywhere = torch.from_numpy(directions).to(environments.device)
     truth = truth_at(environments, anywhere)
-    head("largest error of `sample` at 256 directions by the map's peak, mean of 8", *LOBES)
-    for height in (16, 32, 64):
+
+    def row(height: int) -> list[str]:
         maps = bake(environments, height)[:, 1:].flatten(1, 2)
         found = sample(maps, anywhere).mT.unflatten(1, (len(SHININESS), 3))
         worst = ((found.double() - truth).abs().amax((2, 3)) / peaks).mean(0)
-        print(f"| {height}×{2 * height} | " + " | ".join(f"{100 * e:.2g}" for e in worst) + " |")
+        return [f"{height}×{2 * height}", *(f"{100 * e:.2g}" for e in worst)]
+
+    title = "largest error of `sample` at 256 directions by the map's peak, mean of 8"
+    report.table([title, *LOBES], map(row, (16, 32, 64)))
 
 
 def speed(name: str, truth: torch.Tensor, device: str) -> None:
     """Prints what every method takes, and what `bake` takes by height and batch."""
     with ProcessPoolExecutor(1, mp_context=get_context("spawn"), max_tasks_per_child=1) as workers:
         columns = ("first, s", "later, ms", "times faster", "MB", *LOBES)
-        head(f"{name}, 512×1024 to {HEIGHT}×{2 * HEIGHT}", *columns)
-        slowest = None
-        for method in METHODS:
-            first, later, size, maps = workers.submit(measure, method, name, device).result()
-            slowest = slowest or later
-            errors = cells(error(torch.from_numpy(maps).flatten(-2), truth))
-            print(
-                f"| {method} | {first:.2f} | {1e3 * later:.1f} | {slowest / later:.0f} "
-                f"| {size:.0f} | {errors} |"
-            )
-        head("ms per panorama", "batch 1", "batch 4", "batch 16", "batch 1, other frame")
-        for height, row in zip((16, 32, 64), workers.submit(costs, device).result(), strict=True):
-            print(f"| {height}×{2 * height} | " + " | ".join(f"{ms:.1f}" for ms in row) + " |")
+
+        def rows() -> Iterator[list[str]]:
+            slowest = None
+            for method in METHODS:
+                first, later, size, maps = workers.submit(measure, method, name, device).result()
+                slowest = slowest or later
+                figures = (f"{first:.2f}", f"{1e3 * later:.1f}", f"{slowest / later:.0f}")
+                errors = cells(error(torch.from_numpy(maps).flatten(-2), truth))
+                yield [method, *figures, f"{size:.0f}", *errors]
+
+        report.table([f"{name}, 512×1024 to {HEIGHT}×{2 * HEIGHT}", *columns], rows())
+        found = zip((16, 32, 64), workers.submit(costs, device).result(), strict=True)
+        report.table(
+            ["ms per panorama", "batch 1", "batch 4", "batch 16", "batch 1, other frame"],
+            [[f"{height}×{2 * height}", *(f"{ms:.1f}" for ms in row)] for height, row in found],
+        )
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu")
     parser.add_argument(
         "--panorama", choices=sorted(BUNDLED), default="city", help="that times are taken with"

@@ -18,6 +18,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import report
 import torch
 
 from totalediting.data.endless import EndlessDataset
@@ -55,9 +56,8 @@ def main() -> None:
     device = arguments.device
     machine = loop.Machine(device, precision=loop.fastest_precision(device))
     schedule = replace(STAGES["lightmaps"].schedule, steps=arguments.steps, save_every=10**9)
-    print("| people | pictures | training loss | light / mean light | dominant light | normals |")
-    print("|---|---|---|---|---|---|")
-    for count in map(int, arguments.subjects.split(",")):
+
+    def row(count: int) -> list[object]:
         stage = LightmapStage(arguments.data, preset, seed=0)
         people = FirstPeople(stage.train, count)
         stage.train = people  # pyright: ignore[reportAttributeAccessIssue]
@@ -69,8 +69,12 @@ def main() -> None:
         light, angle, normal = (
             found[f"{name}_error"] for name in ("relative_light", "dominant_light", "normal")
         )
-        row = (count, len(people), f"{loss:.3f}", f"{light:.3f}", f"{angle:.0f}°", f"{normal:.1f}°")
-        print(f"| {' | '.join(map(str, row))} |", flush=True)
+        figures = [f"{loss:.3f}", f"{light:.3f}", f"{angle:.0f}°", f"{normal:.1f}°"]
+        return [count, len(people), *figures]
+
+    header = ["people", "pictures", "training loss"]
+    header += ["light / mean light", "dominant light", "normals"]
+    report.table(header, (row(int(count)) for count in arguments.subjects.split(",")))
 
 
 if __name__ == "__main__":

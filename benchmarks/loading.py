@@ -2,7 +2,7 @@
 
     python benchmarks/loading.py DATASET [--preset small] [--split train] [--samples 64]
 
-Prints a Markdown table: samples a second of training pairs (with and without a second light) and of
+Prints a table: samples a second of training pairs (with and without a second light) and of
 single portraits, by the loader in this process and with 1 and 2 workers, after 8 samples that warm
 caches and workers up; then the same number of pairs as bare bytes, and decoded to numpy without any
 resizing. Reading goes by the operating system's cache: what is measured is the work, not the disk.
@@ -11,11 +11,11 @@ resizing. Reading goes by the operating system's cache: what is measured is the 
 from __future__ import annotations
 
 import argparse
-import time
 from collections.abc import Callable, Iterator
 from itertools import islice
 from pathlib import Path
 
+import report
 import torch
 
 from synthgen.dataset import open_dataset
@@ -37,28 +37,29 @@ def main() -> None:
     torch.set_num_threads(1)
     folder, preset = arguments.dataset, PRESETS[arguments.preset]
 
-    print("| what | this process | 1 worker | 2 workers |\n|---|---|---|---|")
     kinds: dict[str, EndlessDataset] = {
         "pairs": PortraitPairs(folder, preset, arguments.split),
         "pairs, relit": PortraitPairs(folder, preset, arguments.split, relit=True),
         "portraits": Portraits(folder, preset, arguments.split),
     }
-    for name, samples in kinds.items():
-        rates = [
-            rate(iter(loader(samples, 1, workers)), arguments.samples) for workers in (0, 1, 2)
-        ]
-        print(f"| {name} | {' | '.join(f'{r:.1f}' for r in rates)} |", flush=True)
-    for name, read in (("bytes of the tars", bytes_of), ("decoded, at full size", decoded)):
-        print(f"| {name} | {rate(read(folder, arguments.split), arguments.samples):.1f} | | |")
+
+    def rows() -> Iterator[list[str]]:
+        for name, samples in kinds.items():
+            loaders = (iter(loader(samples, 1, workers)) for workers in (0, 1, 2))
+            yield [name, *(f"{rate(samples, arguments.samples):.1f}" for samples in loaders)]
+        for name, read in (("bytes of the tars", bytes_of), ("decoded, at full size", decoded)):
+            yield [name, f"{rate(read(folder, arguments.split), arguments.samples):.1f}", "", ""]
+
+    report.table(["what", "this process", "1 worker", "2 workers"], rows())
 
 
 def rate(samples: Iterator[object], count: int) -> float:
     """Samples a second."""
     for _ in islice(samples, WARM):
         pass
-    start = time.perf_counter()
-    taken = sum(1 for _ in islice(samples, count))
-    return taken / (time.perf_counter() - start)
+    with report.clock() as took:
+        taken = sum(1 for _ in islice(samples, count))
+    return taken / took.seconds
 
 
 def pairs_of(

@@ -15,6 +15,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+import report
 import torch
 from torch import Tensor
 
@@ -50,22 +51,20 @@ class Scores:
 
     def show(self, title: str) -> None:
         heads = ["PSNR, dB"] + ["LPIPS"] * (self.lpips is not None)
-        print(f"\n| {title} | {' | '.join(heads)} |\n|{'---|' * (1 + len(heads))}")
-        for name, parts in self.found.items():
-            values = torch.cat(parts, 1).mean(1).tolist()
-            print(f"| {name} | {' | '.join(f'{v:.3g}' for v in values)} |")
+        means = {name: torch.cat(parts, 1).mean(1) for name, parts in self.found.items()}
+        report.table(
+            [title, *heads],
+            [[name, *(f"{value:.3g}" for value in mean.tolist())] for name, mean in means.items()],
+        )
         self.found = {}
 
 
 def mean_picture(data: Path, model: TotalEditing) -> Tensor:
     """(3, S, S) the mean of the training pictures, over black."""
     pairs = PortraitPairs(data, model.preset, "train")
-    total = sum(
-        (batch.alpha * batch.mot_image).sum(0)
-        for batch in loader(pairs, AT_ONCE, stop=min(256, len(pairs)))
-    )
-    assert isinstance(total, Tensor)
-    return total / min(256, len(pairs))
+    count = min(256, len(pairs))
+    batches = loader(pairs, AT_ONCE, stop=count)
+    return torch.stack([(b.alpha * b.mot_image).sum(0) / count for b in batches]).sum(0)
 
 
 def relit(batch: PortraitPair) -> PortraitPair:

@@ -2,7 +2,7 @@
 
     python benchmarks/rendering.py [--subjects 3] [--resolutions 128 256 512] [--reference 512]
 
-Prints two Markdown tables. First: CPU seconds of each step on one thread, and the frames per
+Prints two tables. First: CPU seconds of each step on one thread, and the frames per
 core-hour that follow for the paper's two kinds of subset. Second: PSNR of the display-referred
 picture (foreground over black) against a converged render, by samples per pixel.
 """
@@ -12,12 +12,15 @@ from __future__ import annotations
 import argparse
 import os
 import tempfile
-import time
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import report
 
 from synthgen.farm.process import redirect
 
@@ -41,20 +44,20 @@ def measure(index: int, resolution: int) -> dict[str, float]:
     model = HeadModel.load()
     seconds = {}
 
-    def clock(name: str, start: float) -> None:
-        seconds[name] = time.process_time() - start
+    @contextmanager
+    def timed(step: str) -> Iterator[None]:
+        with report.clock() as took:
+            yield
+        seconds[step] = took.cpu_seconds
 
-    start = time.process_time()
-    identity = model.identity(subject.person)
-    scene.open_stage(resolution, 2, "cpu", 1)
-    scene.hold_scene()
-    figure = build_figure(subject.person, identity, pieces(subject.person, identity))
-    clock("build", start)
-
-    start = time.process_time()
-    bust = identity.pose(subject.poses[0])
-    pose_figure(figure, bust)
-    clock("pose", start)
+    with timed("build"):
+        identity = model.identity(subject.person)
+        scene.open_stage(resolution, 2, "cpu", 1)
+        scene.hold_scene()
+        figure = build_figure(subject.person, identity, pieces(subject.person, identity))
+    with timed("pose"):
+        bust = identity.pose(subject.poses[0])
+        pose_figure(figure, bust)
 
     camera = resolve(subject.cameras[0], *frame_of_head(bust), resolution)
     scene.set_camera(camera)
@@ -65,12 +68,13 @@ def measure(index: int, resolution: int) -> dict[str, float]:
 
     def frame(samples: int, denoise: bool, light: int) -> float:
         scene.set_mode("beauty", samples)
-        bpy.context.scene.cycles.use_denoising = denoise
-        bpy.context.scene.render.use_compositing = denoise
+        settings: Any = bpy.context.scene  # pyright: ignore[reportAttributeAccessIssue]
+        settings.cycles.use_denoising = denoise
+        settings.render.use_compositing = denoise
         scene.set_light(folder / f"{lights[light].id}.exr", lights[light].rotation)
-        begun = time.process_time()
-        scene.render_layers()
-        return time.process_time() - begun
+        with report.clock() as took:
+            scene.render_layers()
+        return took.cpu_seconds
 
     scene.release_scene()
     scene.hold_scene()  # so that the first frame builds the BVH, as that of every pose does
@@ -83,16 +87,13 @@ def measure(index: int, resolution: int) -> dict[str, float]:
     scene.set_mode("beauty", 8)
     linear = [scene.shoot_beauty(1)] * 2
     scene.set_mode("labels", 8)
-    start = time.process_time()
-    labels = scene.shoot_labels(camera)
-    clock("labels", start)
-    start = time.process_time()
-    args = (subject, subject.shots[0], job, folder, camera, bust, linear, labels)
-    shot = render.compose_shot(*args)
-    clock("develop", start)
-    start = time.process_time()
-    encode(shot)
-    clock("write", start)
+    with timed("labels"):
+        labels = scene.shoot_labels(camera)
+    with timed("develop"):
+        args = (subject, subject.shots[0], job, folder, camera, bust, linear, labels)
+        shot = render.compose_shot(*args)
+    with timed("write"):
+        encode(shot)
     return seconds
 
 
@@ -149,7 +150,7 @@ def _subject(index: int, resolution: int):
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--subjects", type=int, default=3)
     parser.add_argument("--resolutions", type=int, nargs="+", default=[128, 256, 512])
     parser.add_argument(
@@ -163,39 +164,34 @@ def main() -> None:
         initializer=redirect,  # Cycles writes to the standard output
         initargs=(Path(os.devnull),),
     ) as pool:
-        print("| CPU seconds | " + " | ".join(f"{r}²" for r in options.resolutions) + " |")
-        print("|---" * (len(options.resolutions) + 1) + "|")
         means = {}
         for resolution in options.resolutions:
             runs = list(pool.map(measure, range(options.subjects), [resolution] * options.subjects))
             means[resolution] = {step: np.mean([run[step] for run in runs]) for step in STEPS}
-        for step in STEPS:
-            cells = " | ".join(f"{means[r][step]:.2f}" for r in options.resolutions)
-            print(f"| {step} | {cells} |")
-        for name, lights, shots, poses in (
-            ("multiview 2×10", 2, 10, 1),
-            ("video 10×10", 10, 10, 10),
-        ):
-            for samples in (8, 64):
-                rates = []
-                for resolution in options.resolutions:
-                    m = means[resolution]
-                    frame = m["sync"] + samples * m["sample"] + m["denoise"]
-                    shot = m["labels"] + m["develop"] + m["write"]
-                    total = m["build"] + poses * m["pose"] + shots * (shot + lights * frame)
-                    rates.append(f"{3600 * lights * shots / total:.0f}")
-                print(f"| frames per core-hour, {name}, {samples} samples | {' | '.join(rates)} |")
-        print("\n| samples | " + " | ".join(str(s) for s in SAMPLES) + " |")
-        print("|---" * (len(SAMPLES) + 1) + "|")
-        for resolution in options.resolutions[:2]:
+        report.table(["CPU seconds", *(f"{r}²" for r in options.resolutions)], costs(means))
+
+        def quality(resolution: int) -> list[str]:
             count = options.subjects
             tasks = ([resolution] * count, [options.reference] * count)
-            table = np.array(list(pool.map(fidelity, range(count), *tasks)))
-            print(
-                f"| PSNR at {resolution}², dB | "
-                + " | ".join(f"{v:.1f}" for v in table.mean(0))
-                + " |"
-            )
+            found = np.array(list(pool.map(fidelity, range(count), *tasks)))
+            return [f"PSNR at {resolution}², dB", *(f"{v:.1f}" for v in found.mean(0))]
+
+        report.table(["samples", *map(str, SAMPLES)], map(quality, options.resolutions[:2]))
+
+
+def costs(means: dict[int, dict[str, float]]) -> Iterator[list[str]]:
+    """Rows: the seconds of every step, then frames per core-hour, by resolution."""
+    for step in STEPS:
+        yield [step, *(f"{mean[step]:.2f}" for mean in means.values())]
+    for name, lights, shots, poses in (("multiview 2×10", 2, 10, 1), ("video 10×10", 10, 10, 10)):
+        for samples in (8, 64):
+            rates = []
+            for m in means.values():
+                frame = m["sync"] + samples * m["sample"] + m["denoise"]
+                shot = m["labels"] + m["develop"] + m["write"]
+                total = m["build"] + poses * m["pose"] + shots * (shot + lights * frame)
+                rates.append(f"{3600 * lights * shots / total:.0f}")
+            yield [f"frames per core-hour, {name}, {samples} samples", *rates]
 
 
 if __name__ == "__main__":

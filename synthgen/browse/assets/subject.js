@@ -172,7 +172,7 @@ export class SubjectView {
     );
     const neutral = button("Neutral", () => {
       this.weights.clear();
-      parts.forEach((part) => part.set(0));
+      for (const part of parts) part.set(0);
       this.morph(skin, deltas);
     });
     this.sliders.replaceChildren(neutral, ...parts.map((part) => part.element));

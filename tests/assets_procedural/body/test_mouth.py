@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from assets_procedural.body.head import Bust, HeadModel
 from assets_procedural.body.mouth import jaw_motion, mouth
@@ -99,7 +99,7 @@ def test_nothing_breaks_through_the_skin(model, lips_surface, who, expression):
     vertices = matrix @ bust.vertices
     wet = matrix @ (model.masks["lips"] + model.masks["inside-mouth"])
     used = np.unique(triangles)
-    tree = cKDTree(vertices[used])
+    tree = KDTree(vertices[used])
     for name, points in _solid_points(PEOPLE[who], bust).items():
         sample = points[::6]
         visible = _seen(sample, vertices[triangles], FRONT)

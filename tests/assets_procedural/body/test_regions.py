@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from assets_procedural.body.head import HeadModel
 from assets_procedural.body.regions import (
@@ -61,7 +61,7 @@ def test_labels_are_mirror_images(model, centres):
     label = part_labels(model).astype(int)
     swap = np.arange(256)
     swap[[Part.LEFT_EAR, Part.RIGHT_EAR]] = Part.RIGHT_EAR, Part.LEFT_EAR
-    distance, mirrored = cKDTree(centres).query(centres * [-1, 1, 1])
+    distance, mirrored = KDTree(centres).query(centres * [-1, 1, 1])
     assert distance.max() < 1e-5
     np.testing.assert_array_equal(swap[label[mirrored]], label)
 
@@ -83,7 +83,7 @@ def test_hair_grows_where_it_does_on_people(model):
     assert not ((field["scalp"] > 0.5) & (field["ears"] > 0.5)).any()
     assert not ((field["beard"] > 0.5) & (field["lips"] > 0.7)).any()
     crown, brow, nape = (0, -0.05, 0.84), (0, -0.15, 0.75), (0, 0.02, 0.60)
-    nearest = cKDTree(model.template[model.groups["skin"]]).query([crown, brow, nape])[1]
+    nearest = KDTree(model.template[model.groups["skin"]]).query([crown, brow, nape])[1]
     np.testing.assert_allclose(field["scalp"][model.groups["skin"][nearest]], [1, 0, 0], atol=0.05)
 
 

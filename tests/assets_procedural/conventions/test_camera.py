@@ -99,7 +99,7 @@ def test_nerfstudio_frame() -> None:
     frame = nerfstudio_frame(camera)
     assert (frame["w"], frame["h"], frame["cx"], frame["cy"]) == (256, 256, 128, 128)
     assert frame["fl_x"] == frame["fl_y"] == camera.intrinsics[0, 0]
-    np.testing.assert_array_equal(frame["transform_matrix"], camera.camera_to_world)
+    assert frame["transform_matrix"] == camera.camera_to_world.tolist()
 
 
 def test_samples_stay_in_their_ranges() -> None:

@@ -57,7 +57,7 @@ def test_single_precision_stays_single_and_close() -> None:
     x = np.linspace(0, CLIP, 999, dtype=np.float32)
     assert display(x).dtype == undisplay(x).dtype == np.float32
     np.testing.assert_allclose(display(x), display(x.astype(np.float64)), atol=2e-7)
-    assert display(np.float16([0.5])).dtype == np.float64
+    assert display(np.array([0.5], np.float16)).dtype == np.float64
 
 
 def test_bytes_round_and_refuse_nan() -> None:

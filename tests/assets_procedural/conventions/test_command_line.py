@@ -4,16 +4,39 @@ from __future__ import annotations
 
 import errno
 import logging
+import re
 import subprocess
 import sys
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from answer import Answer
 
-from assets_procedural.conventions.command_line import print_version, run
+from assets_procedural.conventions import command_line
+from assets_procedural.conventions.command_line import EXTRAS, print_version, run
 from assets_procedural.conventions.errors import UserError, one_line
+
+PROJECT = tomllib.loads((Path(__file__).parents[3] / "pyproject.toml").read_text())["project"]
+DISTRIBUTIONS = {"colour": "colour-science"}
+"""Modules whose distribution has another name."""
+
+
+def required(extra: str) -> set[str]:
+    """The distributions that an extra names itself."""
+    requirements = PROJECT["optional-dependencies"][extra]
+    return {name(requirement) for requirement in requirements}
+
+
+def name(requirement: str) -> str:
+    match = re.match(r"[\w-]+", requirement)
+    assert match is not None
+    return match[0].lower().replace("_", "-")
+
+
+def distribution(module: str) -> str:
+    return DISTRIBUTIONS.get(module, module).lower().replace("_", "-")
 
 
 def raising(error: Exception) -> Callable[[], None]:
@@ -42,6 +65,26 @@ def test_what_a_user_can_mend_is_one_line(run_main: Callable, error: Exception, 
 def test_what_is_our_fault_keeps_its_traceback(error: Exception):
     with pytest.raises(type(error)):
         raising(error)()
+
+
+@pytest.mark.parametrize("module", EXTRAS)
+def test_the_extra_that_is_named_brings_the_module(module: str):
+    assert distribution(module) in required(EXTRAS[module])
+    assert distribution(module) not in map(name, PROJECT["dependencies"])
+
+
+@pytest.mark.parametrize("extra", sorted(set(EXTRAS.values())))
+def test_all_that_an_extra_brings_is_known_by_its_name(extra: str):
+    core = {*map(name, PROJECT["dependencies"]), name(PROJECT["name"])}
+    assert required(extra) - core <= {distribution(module) for module in EXTRAS}
+
+
+def test_on_another_python_the_line_says_which_one_blender_takes(
+    run_main: Callable, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(command_line, "BLENDER_PYTHON", (3, 8))
+    answer: Answer = run_main(raising(ModuleNotFoundError(name="bpy")))
+    assert "not for 3." in answer.error
 
 
 def test_an_error_without_a_message_says_what_it_is():

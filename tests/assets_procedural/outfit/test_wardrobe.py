@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy import sparse
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from assets_procedural.body.head import HeadModel
 from assets_procedural.body.piece import MeshPiece
@@ -60,7 +60,7 @@ def test_cloth_lies_above_the_skin(model, phenotypes):
     bust = identity.neutral
     skin = model.groups["skin"]
     near = cloth[(cloth[:, 2] > identity.joints[0, 2] - 0.1)]
-    distance, index = cKDTree(bust.vertices[skin]).query(near)
+    distance, index = KDTree(bust.vertices[skin]).query(near)
     index = skin[index]
     height = np.einsum("ni,ni->n", near - bust.vertices[index], bust.normals[index])
     assert (height > 0).mean() > 0.985
@@ -93,7 +93,9 @@ def test_a_cut_follows_the_level_set_without_holes():
     index = np.arange(n * n).reshape(n, n)
     quads = np.stack([index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]], -1)
     field = (x + 0.37 * y - 5.1).ravel().astype(float)
-    sheet: Sheet = sheet_from_quads(sparse.identity(n * n).tocsr(), quads.reshape(-1, 4), field)
+    sheet: Sheet = sheet_from_quads(
+        sparse.csr_matrix(sparse.identity(n * n)), quads.reshape(-1, 4), field
+    )
     cut = sheet.cut(0.0)
     values = cut.field[cut.faces]
     assert not ((values.min(axis=1) < -1e-9) & (values.max(axis=1) > 1e-9)).any()
@@ -118,7 +120,7 @@ def test_glasses_clear_the_face_and_reach_the_ears(model, shape, phenotypes):
         _check_mesh(piece, piece.place(bust))
     skin = model.groups["skin"]
     skin = skin[(model.masks["ears"][skin] < 0.2)]
-    tree = cKDTree(bust.vertices[skin])
+    tree = KDTree(bust.vertices[skin])
     for lens in lenses:
         assert lens.hidden_from_labels and lens.parameters["tint"] == 0.5
         points = lens.place(bust)
@@ -152,7 +154,8 @@ def test_earrings_hang_down_from_the_lobes(model):
 
 @pytest.mark.parametrize("style", ["beanie", "cap"])
 def test_hats_cover_the_scalp_and_nothing_else(model, style):
-    person = Person(hat=Hat(style=style), phenotypes=MAN)
+    hat = Hat(style=style)
+    person = Person(hat=hat, phenotypes=MAN)
     identity = model.identity(person)
     pieces = accessories(person, identity)
     bust = identity.neutral
@@ -160,7 +163,7 @@ def test_hats_cover_the_scalp_and_nothing_else(model, style):
         assert piece.part == Part.HEADWEAR
         _check_mesh(piece, piece.place(bust))
     skin = model.groups["skin"]
-    under = above_rim(identity.rest[skin], person.hat, identity) > 0
+    under = above_rim(identity.rest[skin], hat, identity) > 0
     top = skin[np.argmax(identity.rest[skin, 2])]
     assert under[skin == top].all()
     assert not under[identity.rest[skin, 2] < identity.joints[4, 2]].any()

@@ -31,9 +31,11 @@ SECRET = b"nobody shall read this"
 SHOT = "multiview/s000002_p01"
 
 
-def client(out: Path, cache: Path, token: str | None = None, **options: Any) -> TestClient:
+def client(
+    out: Path, cache: Path, token: str | None = None, base_url: str = "http://localhost"
+) -> TestClient:
     app = create(Library(Folder(out)), Thumbnails(cache), token=token, port=7)
-    return TestClient(app, **({"base_url": "http://localhost"} | options))
+    return TestClient(app, base_url=base_url)
 
 
 @pytest.fixture(scope="module")

@@ -390,11 +390,10 @@ def test_what_cannot_light_is_refused_in_one_line(ask: TestClient, monkeypatch: 
     assert answer.json()["error"].startswith("the file: cannot be read")
     monkeypatch.setattr("synthgen.browse.light.LARGEST_UPLOAD", 10)
     assert ask.post("/lightmaps", content=b"#?RADIANCE and more").status_code == 413
-    monkeypatch.setitem(sys.modules, "totalediting.light.environments", None)
-    monkeypatch.delattr("totalediting.light.environments", raising=False)
+    monkeypatch.setitem(sys.modules, "totalediting.light.arrays", None)
     answer = ask.get("/lightmaps/city")
     assert answer.status_code == 501
-    assert "pip install 'synthgen[model]'" in answer.json()["error"]
+    assert "pip install 'totalediting[model]'" in answer.json()["error"]
 
 
 def test_a_subject_has_the_cameras_of_its_shots(ask: TestClient, stored: Dataset):

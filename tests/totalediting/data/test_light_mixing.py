@@ -23,11 +23,12 @@ def test_a_mixture_is_the_sum_in_linear_light(small_dataset: Path):
     factors = torch.tensor([0.3, 0.4, 0.5]), torch.tensor([0.6, 0.5, 0.1])
     light = Light((0, 1), factors)
     linear = [undisplay(picture(stored[f"rgb_{k:02d}"], 24)) for k in range(2)]
-    summed = sum(f[:, None, None] * p for f, p in zip(factors, linear, strict=True))
+    by_light = torch.stack(factors)[:, :, None, None]
+    summed = (by_light * torch.stack(linear)).sum(0)
     pictures = [picture(stored[name], 24) for name in light.members()]
     assert torch.allclose(light.picture(pictures), display(summed), atol=1e-6)
     maps = [shots.lightmaps(stored["meta"], k, 8) for k in range(2)]
-    wanted = sum(f[:, None, None] * m for f, m in zip(factors, maps, strict=True))
+    wanted = (by_light[:, None] * torch.stack(maps)).sum(0)
     assert torch.allclose(light.lightmaps(maps), wanted)
 
 
@@ -47,7 +48,7 @@ def test_draws_mix_half_of_the_time_and_keep_brightness_within_reason():
     assert 240 < len(mixed) < 360
     assert {light.environments[0] for light in drawn} == {0, 1, 2}
     assert all(len(set(light.environments)) == 2 for light in mixed)
-    total = torch.stack([sum(light.factors) for light in mixed])
+    total = torch.stack([torch.stack(light.factors).sum(0) for light in mixed])
     assert 0.9 < total.log().mean().exp() < 1.1 and total.min() > 0.3 and total.max() < 3
     assert all(draw_light(rng, 3, mix=False).is_one() for _ in range(50))
     single = [draw_light(rng, 1, mix=True) for _ in range(50)]

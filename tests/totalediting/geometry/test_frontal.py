@@ -106,7 +106,8 @@ def test_the_relief_is_where_the_skin_is() -> None:
 
 
 def test_all_is_finite_also_without_skin_in_the_box() -> None:
-    control = Control(*(a + 5 for a in ball(0.0)[:2]), *ball(0.0)[2:])
+    near = ball(0.0)
+    control = near._replace(posed=near.posed + 5, canonical=near.canonical + 5)
     assert frontalise(torch.rand(1, 3, SIDE, SIDE), control, *view()).isfinite().all()
 
 

@@ -44,7 +44,7 @@ def test_a_specular_ball_is_what_blender_integrates(blender, exponent, samples, 
 
 
 def bundled(name: str) -> Path:
-    (spec,) = pool(EnvironmentSettings(bundled=(name,)), 0)
+    (spec,) = pool(EnvironmentSettings.model_validate({"bundled": [name]}), 0)
     assert spec.path is not None
     return spec.path
 

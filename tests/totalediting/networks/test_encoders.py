@@ -61,6 +61,12 @@ class Encoders(nn.Module):
         return self.triplane(fuse(self.deenactor, self.reenactor, global_, e_app, e_mot), detail)
 
 
+def weight(layer: nn.Module | None) -> torch.Tensor:
+    assert layer is not None
+    assert isinstance(layer.weight, torch.Tensor)
+    return layer.weight
+
+
 def encoders(preset: Preset = MINI, seed: int = 0) -> Encoders:
     torch.manual_seed(seed)
     return Encoders(preset)
@@ -253,7 +259,7 @@ def test_a_fresh_tracker_sees_a_nearly_neutral_face():
 @torch.no_grad()
 def test_expression_stays_in_its_range():
     tracker = encoders().tracker
-    nn.init.normal_(tracker.heads["expression"].weight, std=3)
+    nn.init.normal_(weight(tracker.heads["expression"]), std=3)
     free = tracker(pictures(4, MINI.image)).expression
     assert free.min() < 0 and free.max() > 1  # in training, what overshoots keeps its gradient
     expression = tracker.eval()(pictures(4, MINI.image)).expression
@@ -272,7 +278,7 @@ def test_neutral_camera_is_the_dataset_s_default():
 def test_one_tracker_serves_all_presets():
     seen = []
     tiny = encoders(TINY).tracker
-    nn.init.normal_(tiny.heads["head"].weight)
+    nn.init.normal_(weight(tiny.heads["head"]))
     for preset in PRESETS.values():
         tracker = HeadTracker(preset)
         tracker.load_state_dict(tiny.state_dict())
@@ -313,7 +319,7 @@ def test_a_field_is_read_where_it_shows():
 
 
 def truth(count: int) -> Tracking:
-    return Tracking(*(torch.zeros(count, size) for size in SIZES))
+    return Tracking(*(torch.zeros(count, int(size)) for size in SIZES))
 
 
 @pytest.mark.parametrize("name", Tracking._fields)
@@ -401,7 +407,7 @@ def test_block_knows_no_order_unless_it_has_a_convolution():
     torch.testing.assert_close(plain(tokens[:, order], context), result[:, order])
     torch.testing.assert_close(plain(tokens, context.flip(1)), result)
     mixed = TransformerBlock(16, 2, conv=True)
-    nn.init.normal_(mixed.mlp.mix.weight)
+    nn.init.normal_(weight(mixed.mlp.mix))
     assert not torch.allclose(mixed(tokens[:, order]), mixed(tokens)[:, order], atol=0.1)
 
 
@@ -429,7 +435,7 @@ def test_residual_block_keeps_or_halves_the_side():
         y = ResidualBlock(16, out, stride, dilation)(x)
         assert y.shape == (1, out, 8 // stride, 8 // stride) and y.min() >= 0
     same = ResidualBlock(16, 16)
-    nn.init.zeros_(same.body[-1].weight)
+    nn.init.zeros_(weight(same.body[-1]))
     assert torch.equal(same(x), x.relu())
 
 

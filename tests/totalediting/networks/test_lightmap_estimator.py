@@ -87,7 +87,7 @@ def test_in_a_rolled_picture_light_is_found_where_it_is(estimator, image) -> Non
         top, bottom = (part.mean((2, 3)) for part in image.chunk(2, 2))
         left, right = (part.mean((2, 3)) for part in image.chunk(2, 3))
         sides = ((right, x), (left, -x), (top, y), (bottom, -y))
-        light = sum(shown[..., None, None] * d.clamp_min(0) for shown, d in sides)
+        light = torch.stack([s[..., None, None] * d.clamp_min(0) for s, d in sides]).sum(0)
         return Illumination(fold(light.log1p()[:, None].expand(-1, 5, -1, -1, -1)), image)
 
     image[:, :, :40], image[:, :, :, 64:] = 0, 0.5

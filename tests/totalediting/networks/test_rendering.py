@@ -6,6 +6,7 @@ The sphere is analytic: planes that hold coordinates make a decoder's features t
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -48,7 +49,7 @@ def seeded(seed: int) -> torch.Generator:
     return torch.Generator().manual_seed(seed)
 
 
-def f32(*values: list[float]) -> Tensor:
+def f32(*values: Sequence[float] | Sequence[Sequence[float]]) -> Tensor:
     return torch.tensor(values, dtype=torch.float32)
 
 

@@ -128,7 +128,7 @@ def test_the_learning_rate_rises_and_falls() -> None:
 def test_a_module_sets_its_own_pace() -> None:
     """Adam's first step is the learning rate, whatever the gradient."""
     fast, slow = torch.nn.Linear(2, 1), torch.nn.Linear(1, 1)
-    fast.pace = 5.0  # pyright: ignore[reportAttributeAccessIssue]
+    fast.pace = 5.0  # pyright: ignore[reportArgumentType]
     network = torch.nn.Sequential(fast, slow)
     before = [p.clone() for p in network.parameters()]
     optimiser = torch.optim.Adam(paced(network), 1e-3)

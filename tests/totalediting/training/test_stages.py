@@ -16,7 +16,7 @@ from torch import nn
 
 from totalediting import cli
 from totalediting.data.clips import ClipPair
-from totalediting.data.pairs import MIRRORED, PortraitPairs
+from totalediting.data.pairs import MIRRORED, PortraitPairs, Sample
 from totalediting.geometry.field import Control, Table
 from totalediting.geometry.identity import faces_of
 from totalediting.geometry.mirroring import MIRROR
@@ -238,7 +238,7 @@ def test_a_real_face_is_compared_where_the_tracker_finds_it(
     stage = JointStage(small_dataset, tiny, 0, 0, weights=weights, real=real)
     empty = torch.zeros(1, 3, 128, 128)
     matte, unknown = torch.ones(1, 1, 128, 128), torch.tensor([False])
-    clip = ClipPair(frame, frame.flip(-1), frame, matte, unknown, empty, ["clip"])
+    clip = ClipPair(frame, frame.flip(-1), frame, matte, unknown, empty, ["clip"])  # pyright: ignore[reportArgumentType]
     loss, said = stage.loss(stage.network, clip, 0)
     assert said["real_identity"] > 0 and torch.isfinite(loss)
     wanted = tracker(clip.mot_image).points(128)
@@ -327,6 +327,7 @@ def test_every_joint_term_reaches_what_it_should(
     )
 
     critic = list(stage.network.discriminator.parameters())
+    assert isinstance(batch, Sample)
     edit = edit_of(stage.network.model, batch, None)
     fooled, own = stage._adversarial(edit, batch, 1)
     assert all(
