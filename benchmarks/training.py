@@ -1,7 +1,7 @@
 """What a step of training costs, stage by stage: time, memory, and where the time goes.
 
     python benchmarks/training.py DATASET [--presets tiny,small] [--stages tracker,lightmaps]
-        [--steps 5] [--batch N] [--device cpu] [--compile] [--markdown]
+        [--steps 5] [--batch N] [--device cpu] [--compile]
 
 Every preset and stage has a process of its own, so that its memory peak is its own: on a CPU the
 process's resident set, imports included, on a GPU the allocator's. Weights are fresh. Steps are
@@ -18,7 +18,6 @@ threads that is printed; OMP_NUM_THREADS sets it.
 from __future__ import annotations
 
 import argparse
-import resource
 import statistics
 import sys
 import time
@@ -32,6 +31,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
+import report
 import torch
 from torch import Tensor, nn
 
@@ -201,7 +201,7 @@ def measure(
     found = Found(
         step=statistics.median(sum(times.values()) for times in plain),
         sample=0.0,
-        memory=peak(device),
+        memory=report.peak(device),
         notes=[f"without {term}: {reason}" for term, reason in stage.off.items()],
     )
     if compiled:
@@ -212,9 +212,9 @@ def measure(
     found.pieces = {k: statistics.median(times.get(k, 0.0) for times in split) for k in keys}
     made = []
     for number in range(SAMPLES):
-        start = time.perf_counter()
-        stage.train[number]
-        made.append(time.perf_counter() - start)
+        with report.clock() as took:
+            stage.train[number]
+        made.append(took.seconds)
     found.sample = statistics.median(made)
     return found
 
@@ -240,13 +240,6 @@ def one_step(
     return timeline.seconds()
 
 
-def peak(device: str) -> float:
-    """Peak memory so far, MB: the process's, or on a GPU the allocator's."""
-    if device == "cuda":
-        return torch.cuda.max_memory_allocated() / 1e6
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e6
-
-
 def alone(name: str, data: Path, preset: str, batch: int, *others: Any) -> Found:
     """`measure` in a process of its own."""
     try:
@@ -257,17 +250,6 @@ def alone(name: str, data: Path, preset: str, batch: int, *others: Any) -> Found
         raise InputError(
             f"--batch: {batch}: {name} of the preset {preset} does not fit in memory; {remedy}"
         ) from None
-
-
-def print_table(header: list[str], rows: list[list[str]], markdown: bool) -> None:
-    if markdown:
-        print(*(f"| {' | '.join(row)} |" for row in (header, ["---"] * len(header))), sep="\n")
-        print(*(f"| {' | '.join(row)} |" for row in rows), sep="\n")
-        return
-    widths = [max(len(row[k]) for row in (header, *rows)) for k in range(len(header))]
-    for row in (header, *rows):
-        cells = (cell.ljust(width) for cell, width in zip(row, widths, strict=True))
-        print("  ".join(cells).rstrip())
 
 
 def chosen(option: str, text: str, choices: tuple[str, ...]) -> list[str]:
@@ -309,10 +291,9 @@ def benchmark(options: argparse.Namespace) -> None:
             notes += [f"{preset}, {name}: {note}" for note in found.notes]
     header = ["preset", "stage", "batch", "s a step", "steps a s", "samples a s", "a sample, ms"]
     header += ["peak memory, MB", *(["compiled, s a step"] if options.compile else [])]
-    print_table(header, whole, options.markdown)
-    print()
+    report.table(header, whole)
     header = ["preset", "stage", "piece", "forward, ms", "backward, ms", "share of the step"]
-    print_table(header, pieces, options.markdown)
+    report.table(header, pieces)
     for note in (machine(options.device), *notes):
         print(f"\n{note}")
 
@@ -357,7 +338,6 @@ def main() -> int:
     parser.add_argument("--batch", type=int, help="default: the stage's own")
     parser.add_argument("--device", default="cpu", choices=("cpu", "cuda"))
     parser.add_argument("--compile", action="store_true", help="time torch.compile as well")
-    parser.add_argument("--markdown", action="store_true", help="print Markdown tables")
     try:
         benchmark(parser.parse_args())
     except InputError as error:

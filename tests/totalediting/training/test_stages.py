@@ -16,7 +16,7 @@ from torch import nn
 
 from totalediting import cli
 from totalediting.data.clips import ClipPair
-from totalediting.data.pairs import MIRRORED, PortraitPairs, Sample
+from totalediting.data.pairs import MIRRORED, PortraitPair, PortraitPairs
 from totalediting.geometry.field import Control, Table
 from totalediting.geometry.identity import faces_of
 from totalediting.geometry.mirroring import MIRROR
@@ -327,7 +327,7 @@ def test_every_joint_term_reaches_what_it_should(
     )
 
     critic = list(stage.network.discriminator.parameters())
-    assert isinstance(batch, Sample)
+    assert isinstance(batch, PortraitPair)
     edit = edit_of(stage.network.model, batch, None)
     fooled, own = stage._adversarial(edit, batch, 1)
     assert all(
