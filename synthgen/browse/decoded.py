@@ -103,7 +103,7 @@ def _decode(sample: Sample) -> Shot:
     size = shot.depth.shape[:2]
     for name in ("albedo", "normal", "uv", "canonical", "alpha", "parts"):
         if getattr(shot, name).shape[:2] != size:
-            raise Broken(f"{name} has another size than depth")
+            raise Broken(f"{name} and depth differ in size")
     return shot
 
 
@@ -123,7 +123,9 @@ def _bounded(name: str, data: bytes) -> bytes:
             left, top, right, bottom = struct.unpack_from("<4i", data, at + len(mark))
             width, height = right - left + 1, bottom - top + 1
     if max(width, height) > _LARGEST:
-        raise Broken(f"{name} says it is {width} x {height} pixels; at most {_LARGEST} are decoded")
+        raise Broken(
+            f"{name} claims {width} x {height} pixels; at most {_LARGEST} a side are decoded"
+        )
     return data
 
 

@@ -231,14 +231,17 @@ def test_histograms_hold_every_value_between_their_edges(ask: TestClient, small_
             {"facets": '{"failed": ["yes"]}'},
             "facets: failed: give a list of values of type boolean",
         ),
-        ({"ranges": '{"camera_yaw": [1]}'}, "ranges: camera_yaw: give [low, high]; null is no end"),
+        (
+            {"ranges": '{"camera_yaw": [1]}'},
+            "ranges: camera_yaw: give [low, high]; null leaves an end open",
+        ),
         (
             {"ranges": '{"camera_yaw": [NaN, 1]}'},
-            "ranges: camera_yaw: give [low, high]; null is no end",
+            "ranges: camera_yaw: give [low, high]; null leaves an end open",
         ),
         (
             {"ranges": '{"split": [0, 1]}'},
-            "ranges: split is no column of numbers; use facets or where",
+            "ranges: split is not a numeric column; use facets or where",
         ),
         ({"sort": "nose"}, "sort: the manifest has no column 'nose'"),
         ({"sort": "environments"}, "sort: environments holds lists; sort by another column"),

@@ -1,9 +1,9 @@
-// The pictures of a shot: every pass, its environments side by side, values under the pointer.
+// The passes of a shot as pictures, environments side by side, with values under the pointer.
 
 import { askArray, path, query } from "./api.js";
 import { h } from "./dom.js";
 
-const LIT = ["image", "linear"]; // what differs by environment
+const LIT = ["image", "linear"]; // passes that differ by environment
 const AXES = {
   image: ["R", "G", "B", "A"],
   linear: ["R", "G", "B", "A"],
@@ -14,11 +14,11 @@ const AXES = {
 };
 const UNITS = { depth: " m", canonical: " m" };
 
-export class Stage {
+export class PassView {
   /**
-   * @param shot the server's answer about a shot
-   * @param parts [{id, name, colour}], colours as [r, g, b] in bytes
-   * @param overlay the shot's `Overlay`  @param picked called with an environment's number
+   * @param shot the server's description of a shot
+   * @param parts [{id, name, colour}], with colours [r, g, b] in bytes
+   * @param overlay the shot's `Overlay`  @param picked called with an environment's index
    */
   constructor(shot, parts, overlay, picked) {
     this.shot = shot;
@@ -29,19 +29,19 @@ export class Stage {
     this.figures = h("div", { class: "figures" });
     this.readout = h("dl", { class: "readout", "aria-label": "Values under the pointer" });
     this.legend = h("ul", { class: "legend", hidden: true, "aria-label": "Parts" });
-    this.element = h("div", { class: "stage" }, this.figures, this.legend, this.readout);
+    this.element = h("div", { class: "passes" }, this.figures, this.legend, this.readout);
     this.resizing = new ResizeObserver(() => this.redraw());
     this.resizing.observe(this.figures);
     this.idle();
   }
 
-  /** Address of a pass as a picture. */
+  /** The address of a pass as a picture. */
   picture(pass, environment = 0) {
     const { subset, key } = this.shot;
     return path("pass", subset, key, pass) + query({ environment });
   }
 
-  /** Shows a pass; `beside`: of the image, all environments side by side. */
+  /** Shows a pass; with `beside`, the image under all environments side by side. */
   show(pass, environment, beside) {
     this.pass = pass;
     const { environments } = this.shot;
@@ -106,7 +106,7 @@ export class Stage {
       {
         type: "button",
         class: "pick",
-        "aria-label": `Use ${use?.id} for light and play`,
+        "aria-label": `Use ${use?.id} for the light panel and for play`,
         onclick: () => this.picked(e),
       },
       ...words,
@@ -120,7 +120,7 @@ export class Stage {
     }
   }
 
-  /** Draws landmarks and wires again; a failure is said in the readout. */
+  /** Redraws the overlays; a failure is shown in the readout. */
   async redraw() {
     try {
       for (const canvas of this.figures.querySelectorAll("canvas.overlay")) {
@@ -154,7 +154,7 @@ export class Stage {
     );
   }
 
-  /** Arrays of passes are fetched when they are first asked for, each once. */
+  /** The array of a pass, fetched on first use. */
   array(pass, environment) {
     const name = LIT.includes(pass) ? `${pass} ${environment}` : pass;
     if (!this.values.has(name)) {
