@@ -99,7 +99,7 @@ export class LightControls {
     this.expose(0);
     this.diffuse.set(START.diffuse);
     this.settings.diffuse = START.diffuse;
-    for (const [i, control] of this.specular.entries()) control.set(START.specular[i]);
+    for (const [i, dial] of this.specular.entries()) dial.set(START.specular[i]);
     this.settings.specular = [...START.specular];
   }
 
