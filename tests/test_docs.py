@@ -67,6 +67,18 @@ def test_modules_and_functions_that_are_named_exist(page: Path):
         assert resolve(name) is not None, f"{page.name} names {name}"
 
 
+def test_the_readmes_python_runs(
+    small_dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out/demo").symlink_to(small_dataset)
+    monkeypatch.chdir(tmp_path)
+    blocks = re.findall(r"^```python\n(.*?)^```", (ROOT / "README.md").read_text(), re.M | re.S)
+    assert blocks
+    for block in blocks:
+        exec(block, {})
+
+
 def resolve(name: str) -> Any:
     """What a dotted name stands for: a module, or what is found inside one."""
     package, *rest = name.split(".")
