@@ -103,7 +103,7 @@ def _decode(sample: Sample) -> Shot:
     size = shot.depth.shape[:2]
     for name in ("albedo", "normal", "uv", "canonical", "alpha", "parts"):
         if getattr(shot, name).shape[:2] != size:
-            raise Broken(f"{name} and depth differ in size")
+            raise Broken(f"{name} has another size than depth")
     return shot
 
 

@@ -7,8 +7,8 @@ const KEYS = [
   ["Esc", "close, or leave a field"],
   ["← ↑ → ↓", "move in the grid; previous and next shot; turn the light"],
   ["Enter", "open the shot"],
-  ["1 – 8", "choose a pass of the shot"],
-  ["Space", "play or pause a clip"],
+  ["1 – 8", "pass of the shot"],
+  ["Space", "play and pause a clip"],
   ["?", "show this list"],
 ];
 
