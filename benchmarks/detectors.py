@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from synthgen.dataset import open_dataset
-from synthgen.dataset.ledger import StorageError
+from synthgen.dataset.folder import StorageError
 from synthgen.dataset.shot import camera_of
 from totalediting.pretrained.fetch import NetworkError, fetch
 

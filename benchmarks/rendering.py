@@ -47,7 +47,7 @@ def measure(index: int, resolution: int) -> dict[str, float]:
     start = time.process_time()
     identity = model.identity(subject.person)
     scene.open_stage(resolution, 2, "cpu", 1)
-    scene.keep()
+    scene.hold_scene()
     figure = build_figure(subject.person, identity, pieces(subject.person, identity))
     clock("build", start)
 
@@ -69,11 +69,11 @@ def measure(index: int, resolution: int) -> dict[str, float]:
         bpy.context.scene.render.use_compositing = denoise
         scene.set_light(folder / f"{lights[light].id}.exr", lights[light].rotation)
         begun = time.process_time()
-        scene.render_passes()
+        scene.render_layers()
         return time.process_time() - begun
 
-    scene.forget()
-    scene.keep()  # so that the first frame builds the BVH, as that of every pose does
+    scene.release_scene()
+    scene.hold_scene()  # so that the first frame builds the BVH, as that of every pose does
     first, few, many = frame(2, False, 0), frame(2, False, 1), frame(10, False, 0)
     seconds["pose"] += max(0.0, first - few)
     seconds["sample"] = (many - few) / 8
@@ -109,7 +109,7 @@ def fidelity(index: int, resolution: int, reference: int) -> list[float]:
     _, subject, folder = _subject(index, resolution)
     identity = HeadModel.load().identity(subject.person)
     scene.open_stage(resolution, 4, "cpu", 1)
-    scene.keep()
+    scene.hold_scene()
     figure = build_figure(subject.person, identity, pieces(subject.person, identity))
     bust = identity.pose(subject.poses[0])
     pose_figure(figure, bust)
@@ -125,7 +125,7 @@ def fidelity(index: int, resolution: int, reference: int) -> list[float]:
     truth = shoot(reference, 99)
     scene.set_mode("labels", 4)
     labels = scene.shoot_labels(camera)
-    exposure = photograph.face_exposure(truth, labels.albedo, labels.parts)
+    exposure = photograph.face_exposure(truth, labels["albedo"], labels["parts"])
     shown = display(exposure * truth[..., :3])
     result = []
     for samples in SAMPLES:

@@ -136,8 +136,8 @@ def render(
     took = console.duration(summary.seconds)
     screen.print(f"{done} in {took}" + ("; the dataset is complete" if summary.complete else ""))
     for entry in summary.failed:
-        reason = f"{entry['reason']} ({entry['log']})"
-        screen.print(console.escape(f"failed: {entry['subset']}/{entry['key']}: {reason}"))
+        reason = f"{entry.reason} ({entry.log})"
+        screen.print(console.escape(f"failed: {entry.subset}/{entry.key}: {reason}"))
     if summary.failed:
         raise typer.Exit(1)
 
@@ -168,14 +168,10 @@ def status(out: Dataset) -> None:
         line += f", {console.duration(state.seconds_left)} left"
     screen.print(line + ("; complete" if state.complete else ""))
     for entry in state.running:
-        screen.print(
-            f"running: {entry['subset']}/{entry['key']} for {console.duration(entry['seconds'])}"
-        )
+        screen.print(f"running: {entry.subset}/{entry.key} for {console.duration(entry.seconds)}")
     for entry in state.failures:
-        tries = f"{entry['attempts']} attempts"
-        screen.print(
-            console.escape(f"failed: {entry['subset']}/{entry['key']}, {tries}: {entry['reason']}")
-        )
+        tries = f"{entry.attempts} attempts"
+        screen.print(console.escape(f"failed: {entry.subset}/{entry.key}, {tries}: {entry.reason}"))
 
 
 @app.command()
@@ -318,13 +314,11 @@ def _beside(out: Path, ending: str) -> Path:
 
 def _check_panoramas(environments: list[EnvironmentSpec], out: Path, file: Path) -> None:
     """Read the user's own panoramas, those apart that the dataset holds already."""
+    from synthgen.dataset.folder import DatasetFolder
     from synthgen.farm import preflight
 
-    unseen = [
-        e
-        for e in environments
-        if e.kind == "file" and not (out / "environments" / f"{e.id}.exr").exists()
-    ]
+    folder = DatasetFolder(out)
+    unseen = [e for e in environments if e.kind == "file" and not folder.environment(e.id).exists()]
     with console.progress() as progress:
         for environment in progress.track(unseen, description="reading panoramas"):
             preflight.check_panorama(environment, file)

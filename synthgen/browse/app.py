@@ -48,7 +48,7 @@ from synthgen.browse.sandbox import ROWS
 from synthgen.browse.security import Guard, plain_header
 from synthgen.browse.snapshot import Library, Snapshot
 from synthgen.browse.thumbnails import SIZES, Thumbnails
-from synthgen.dataset.ledger import StorageError
+from synthgen.dataset.folder import StorageError
 
 _ASSETS = files("synthgen.browse") / "assets"
 # An address does not say which bytes it stands for, so before long it is asked about again.

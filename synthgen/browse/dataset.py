@@ -7,7 +7,8 @@ from typing import Any
 from assets_procedural.motion.poses import ARKIT_NAMES
 from synthgen.browse.fields import GRID
 from synthgen.browse.snapshot import Snapshot
-from synthgen.pictures.passes import PALETTE
+from synthgen.dataset.passes import PASSES, Pass
+from synthgen.pictures.drawing import PALETTE
 
 PARTS = (
     *("background", "skin", "nose", "right eye", "left eye", "right brow", "left brow"),
@@ -41,5 +42,33 @@ def describe(snapshot: Snapshot) -> dict[str, Any]:
         "part_names": [
             {"id": i, "name": part, "colour": PALETTE[i].tolist()} for i, part in enumerate(PARTS)
         ],
+        "passes": passes(),
         "expression_names": list(ARKIT_NAMES),
     }
+
+
+def passes() -> list[dict[str, Any]]:
+    """What a shot's page can show: `label` of its button, `axes` and `unit` of its values.
+
+    `lit`: there is one for each environment. What has no label is not drawn, only its values.
+    """
+    lit = [
+        {"name": name, "label": label, "axes": list("RGBA"), "unit": "", "lit": True}
+        for name, label in (("image", "Image"), ("linear", ""))
+    ]
+    return lit + [
+        {
+            "name": p.name,
+            "label": p.label or p.name.capitalize(),
+            "axes": _axes(p),
+            "unit": p.unit,
+            "lit": False,
+        }
+        for p in PASSES
+    ]
+
+
+def _axes(each: Pass) -> list[str]:
+    if len(each.components) == 1:
+        return []
+    return list(each.components if each.drawn == "colour" else each.components.lower())

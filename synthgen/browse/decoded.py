@@ -13,11 +13,12 @@ from assets_procedural.conventions.colour import srgb_decode
 from synthgen.browse.folder import Refused
 from synthgen.browse.samples import Broken, Sample
 from synthgen.dataset.codecs import decode_exr
+from synthgen.dataset.passes import PASSES, named
 from synthgen.dataset.shards import decode, decode_fields
 from synthgen.dataset.shot import Shot
-from synthgen.pictures.passes import PASSES
+from synthgen.pictures.drawing import PICTURES
 
-VALUES = ("image", "linear", "albedo", "normal", "depth", "uv", "canonical", "parts", "alpha")
+VALUES = ("image", "linear", *(p.name for p in PASSES))
 """What `values` gives the numbers of."""
 _KEPT = 4
 _LARGEST = 8192  # pixels on a side; more is not decoded
@@ -37,26 +38,25 @@ class Decoder:
         return self._get(sample)[0]
 
     def picture(self, sample: Sample, name: str, environment: int) -> np.ndarray:
-        """A pass as (H, W, 3 | 4) uint8: `image`, or one of `PASSES` as `synthgen show` draws it.
+        """A pass as (H, W, 3 | 4) uint8: `image`, or one of `PICTURES` as `synthgen show` draws it.
 
         Raises `Refused` for an unknown pass or environment, `Broken` if the sample is damaged.
         """
         shot, drawn = self._get(sample)
         if name == "image":
             return shot.rgb[_environment(shot, environment)]
-        if name not in PASSES:
-            raise Refused(f"no pass {name[:40]}; there are image, {', '.join(PASSES)}")
+        if name not in PICTURES:
+            raise Refused(f"no pass {name[:40]}; there are image, {', '.join(PICTURES)}")
         with self._lock:
             if name not in drawn:
-                drawn[name] = PASSES[name](shot)
+                drawn[name] = PICTURES[name](shot)
         return drawn[name]
 
     def values(self, sample: Sample, name: str, environment: int) -> np.ndarray:
         """The numbers of a pass, float32 or uint8, (H, W) or (H, W, C).
 
-        `image` as stored, `linear` RGBA light before exposure (where the dataset has it), `albedo`
-        linear, `normal` in camera space, `depth` metres, `uv`, `canonical` metres in the world
-        frame, `parts` ids, `alpha` 0 to 255. Raises as `picture`.
+        `image` as stored, `linear` RGBA light before exposure (where the dataset has it), and
+        passes as stored, but for colours, which are made linear. Raises as `picture`.
         """
         shot = self.shot(sample)
         if name not in VALUES:
@@ -67,9 +67,9 @@ class Decoder:
             member = f"hdr_{_environment(shot, environment):02d}.exr"
             planes = decode_exr(_bounded(member, sample.read(member)))
             return np.stack([planes[c] for c in "RGBA"], -1).astype(np.float32)
-        if name == "albedo":
-            return srgb_decode(shot.albedo.astype(np.float32) / np.float32(255))
-        array = getattr(shot, name)
+        array, wanted = shot.passes[name], named(name)
+        if wanted is not None and wanted.drawn == "colour":
+            return srgb_decode(array.astype(np.float32) / np.float32(255))
         return array if array.dtype == np.uint8 else array.astype(np.float32)
 
     def _get(self, sample: Sample) -> tuple[Shot, dict[str, np.ndarray]]:
@@ -101,8 +101,8 @@ def _decode(sample: Sample) -> Shot:
     except (ValueError, MemoryError) as error:
         raise Broken(_first_line(error)) from None
     size = shot.depth.shape[:2]
-    for name in ("albedo", "normal", "uv", "canonical", "alpha", "parts"):
-        if getattr(shot, name).shape[:2] != size:
+    for name, array in shot.passes.items():
+        if array.shape[:2] != size:
             raise Broken(f"{name} has another size than depth")
     return shot
 

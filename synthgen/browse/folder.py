@@ -5,16 +5,12 @@ Names come from addresses, from the manifest and from dataset.json, and none of 
 
 from __future__ import annotations
 
-import json
-import re
 import stat
 from pathlib import Path
 from typing import Any
 
-from synthgen.dataset import ledger
-
-NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,127}")
-"""Subsets, keys of shots and subjects, environments, members: a name, never a path."""
+from synthgen.dataset.folder import NAME, DatasetFolder, Place, StorageError, brief, not_a_name
+from synthgen.dataset.records import description_json
 
 
 class Refused(Exception):
@@ -26,44 +22,55 @@ class Refused(Exception):
 
 
 class Folder:
-    """A dataset's folder; the folder itself may be a link, nothing below it may lead outside."""
+    """A dataset's folder; the folder itself may be a link, nothing below it may lead outside.
 
-    def __init__(self, root: Path | str) -> None:
+    `given` is its path as the user gave it, `layout` says where its files lie.
+    """
+
+    def __init__(self, root: Place) -> None:
         self.given = Path(root)
-        self.root = self.given.resolve()
+        self.layout = DatasetFolder(self.given.resolve())
 
-    def file(self, relative: str) -> Path:
-        """The path of a regular file inside the folder, given relative to it with slashes.
+    def file(self, wanted: str | Path) -> Path:
+        """A regular file of the folder: a path of `layout`, or as manifests name it.
 
         Raises `Refused` for an absolute path, for `..`, for a symbolic link on the way, for what
         is missing, and for pipes, devices and folders.
         """
-        parts = relative.split("/")
-        if "\0" in relative or "\\" in relative or any(p in ("", ".", "..") for p in parts):
-            raise Refused(f"{_brief(relative)}: lies outside the dataset")
-        path = self.root
+        name = self.layout.relative(wanted) if isinstance(wanted, Path) else wanted
         try:
-            for part in parts:
-                path = path / part
-                mode = path.lstat().st_mode
-                if stat.S_ISLNK(mode):
-                    raise Refused(
-                        f"{_brief(relative)}: {_brief(part)} is a symbolic link; only files that "
-                        "lie in the dataset's folder are shown"
-                    )
-        except (OSError, ValueError):
-            raise Refused(f"{_brief(relative)}: no such file in the dataset") from None
+            path = self.layout.inside(name)
+        except StorageError as error:
+            raise Refused(str(error)) from None
+        link, mode = self._look(path, name)
+        if link is not None:
+            raise Refused(
+                f"{brief(name)}: {brief(link.name)} is a symbolic link; only files that "
+                "lie in the dataset's folder are shown"
+            )
         if not stat.S_ISREG(mode):
-            raise Refused(f"{_brief(relative)}: is no file")
+            raise Refused(f"{brief(name)}: is no file")
         return path
 
-    def files(self, relative: str, ending: str) -> list[Path]:
-        """Regular files of a folder with that ending, by name; links are left out."""
+    def _look(self, path: Path, name: str) -> tuple[Path | None, int]:
+        """The first symbolic link on the way to a path, and the mode of what was reached."""
+        mode = 0
         try:
-            found = sorted((self.root / relative).iterdir())
+            for step in [*reversed(path.relative_to(self.layout.root).parents), path]:
+                place = self.layout.root / step
+                mode = place.lstat().st_mode
+                if stat.S_ISLNK(mode):
+                    return place, mode
+        except (OSError, ValueError):
+            raise Refused(f"{brief(name)}: no such file in the dataset") from None
+        return None, mode
+
+    def files(self, inside: Path, ending: str) -> list[Path]:
+        """Regular files of a folder of `layout` with that ending, by name; links are left out."""
+        try:
+            found = sorted(inside.iterdir())
         except OSError:
             return []
-        inside = self.root / relative
         if inside.resolve() != inside:
             return []
         return [p for p in found if p.name.endswith(ending) and p.is_file() and not p.is_symlink()]
@@ -73,30 +80,24 @@ class Folder:
 
         Raises `StorageError` with one line if the folder is no dataset or its file makes no sense.
         """
+        path = self.layout.description
         try:
-            self.file("dataset.json")
+            self.file(path)
         except Refused as refusal:
-            if (self.root / "dataset.json").is_symlink():
-                raise ledger.StorageError(f"{self.given}: {refusal}") from None
-        info = ledger.read_dataset_json(self.given)
+            if path.is_symlink():
+                raise StorageError(f"{self.given}: {refusal}") from None
+        info = description_json(DatasetFolder(self.given))
         plan = info.get("plan") if isinstance(info, dict) else None
         if not isinstance(plan, dict) or not all(isinstance(p, dict) for p in plan.values()):
-            raise ledger.StorageError(f"{self.given}/dataset.json: has no plan of subsets")
+            raise StorageError(f"{self.given}/dataset.json: has no plan of subsets")
         for name in plan:
             if not NAME.fullmatch(name):
-                raise ledger.StorageError(
-                    f"{self.given}/dataset.json: plan: {json.dumps(name)[:60]}: "
-                    "a subset's name has letters, digits, _, - and . only"
-                )
+                raise StorageError(f"{self.given}/dataset.json: plan: {not_a_name(name, 'subset')}")
         return info
 
 
 def name(text: str, what: str) -> str:
     """`text` if it is a name; raises `Refused` (400) otherwise."""
     if not NAME.fullmatch(text):
-        raise Refused(f"{what} {_brief(text)}: use letters, digits, _, - and . only", 400)
+        raise Refused(not_a_name(text, what), 400)
     return text
-
-
-def _brief(text: str) -> str:
-    return json.dumps(text if len(text) <= 80 else text[:77] + "...", ensure_ascii=False)

@@ -32,7 +32,7 @@ def of_dataset(folder: Folder, identifier: str, height: int) -> np.ndarray:
 
     Raises `Refused` if there is none of that name, it does not decode, or torch is missing.
     """
-    path = folder.file(f"environments/{name(identifier, 'environment')}.exr")
+    path = folder.file(folder.layout.environment(name(identifier, "environment")))
     with _one_at_a_time:
         light = _model()
         try:

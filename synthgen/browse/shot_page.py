@@ -10,7 +10,8 @@ from synthgen.browse.decoded import Decoder
 from synthgen.browse.folder import Folder
 from synthgen.browse.samples import Broken, Sample
 from synthgen.browse.snapshot import Snapshot
-from synthgen.pictures.passes import PASSES
+from synthgen.dataset.passes import PASSES
+from synthgen.pictures.drawing import PICTURES
 
 
 def describe(
@@ -46,8 +47,8 @@ def describe(
         answer["environments"] = environments(snapshot, shot.meta)
         answer["meta"] = shot.meta
         linear = ["linear"] if any(n.startswith("hdr_") for n in sample.members) else []
-        answer["passes"] = ["image", *PASSES]
-        answer["values"] = [*linear, "image", *(p for p in PASSES if p != "landmarks")]
+        answer["passes"] = ["image", *PICTURES]
+        answer["values"] = [*linear, "image", *(p.name for p in PASSES)]
     except Broken as reason:
         answer["broken"] = str(reason)
     return answer

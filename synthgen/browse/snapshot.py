@@ -24,11 +24,14 @@ import duckdb
 
 from synthgen.browse.codes import Codes
 from synthgen.browse.fields import LEFT_OUT, Column, column
-from synthgen.browse.folder import NAME, Folder, Refused
+from synthgen.browse.folder import Folder, Refused
 from synthgen.browse.matches import Matches
 from synthgen.browse.sandbox import Sandbox, literal, quoted
-from synthgen.dataset import ledger, manifest
+from synthgen.dataset import manifest
 from synthgen.dataset.columns import IDENTITY, PLACE, schema_of
+from synthgen.dataset.folder import NAME, StorageError
+from synthgen.dataset.ledger import ATTEMPTS
+from synthgen.dataset.records import Failure, ShardRecord
 
 _NAME = re.compile(r"\w{1,128}", re.ASCII)
 _SETTLE = 2.0  # seconds between two looks at the folder
@@ -75,9 +78,7 @@ class Library:
                 return
         except (duckdb.Error, Refused) as error:
             reason = " ".join(str(error).splitlines()[:1])[:200]
-            raise ledger.StorageError(
-                f"{folder.given}: its manifest is damaged: {reason}"
-            ) from None
+            raise StorageError(f"{folder.given}: its manifest is damaged: {reason}") from None
         self._load(patience=_PATIENCE)
 
     def snapshot(self) -> Snapshot:
@@ -119,7 +120,7 @@ class Library:
         if self._closed:
             return
         start = time.monotonic()
-        with contextlib.suppress(duckdb.Error, ledger.StorageError, Refused, OSError):
+        with contextlib.suppress(duckdb.Error, StorageError, Refused, OSError):
             self._filling = Sandbox(self.threads)
             loaded = _read(self.folder, self._filling, in_memory=True)
             with self._lock:
@@ -138,12 +139,13 @@ def revision(folder: Folder) -> str:
     """A name for the state of the folder: it changes when a subject or a shard is added."""
     digest = hashlib.sha256()
     info = folder.description()
-    places = ["dataset.json", "manifest"]
+    layout = folder.layout
+    places = [layout.description, layout.manifests]
     for subset in info["plan"]:
-        places += [f"{part}/{subset}" for part in ("ledger", "ledger/failed", "work")]
+        places += [layout.records(subset), layout.failed(subset), layout.waiting(subset)]
     for place in places:
         try:
-            found = (folder.root / place).stat()
+            found = place.stat()
             digest.update(f"{place} {found.st_mtime_ns} {found.st_size}\n".encode())
         except OSError:
             digest.update(f"{place} -\n".encode())
@@ -200,20 +202,15 @@ def _read(folder: Folder, sandbox: Sandbox, in_memory: bool) -> Snapshot:
 
 def _parquet(folder: Folder, info: dict[str, Any], subset: str) -> list[Path]:
     """The Parquet files of a subset: merged, or while it is rendered those of its shards."""
-    merged = f"manifest/{subset}.parquet"
     if info.get("complete"):
-        try:
-            return [folder.file(merged)]
-        except Refused:
-            pass
+        with contextlib.suppress(Refused):
+            return [folder.file(folder.layout.manifest(subset))]
     found = []
-    for path in folder.files(f"ledger/{subset}", ".json"):
-        try:
-            record = json.loads(path.read_bytes())
-            if record["subjects"]:
-                found.append(folder.file(f"ledger/{subset}/{path.stem}.parquet"))
-        except (OSError, ValueError, KeyError, TypeError, Refused):
-            continue
+    for path in folder.files(folder.layout.records(subset), ".json"):
+        with contextlib.suppress(OSError, StorageError, Refused):
+            if ShardRecord.parse(path.read_bytes(), path).subjects:
+                rows = folder.layout.shard(f"{subset}/{path.stem}.tar").rows
+                found.append(folder.file(rows))
     return found
 
 
@@ -221,7 +218,7 @@ def _waiting(folder: Folder, info: dict[str, Any], sandbox: Sandbox) -> bool:
     """Read the finished subjects that wait for their shard into a table; whether there are any."""
     rows: list[dict[str, Any]] = []
     for subset in info["plan"]:
-        for path in folder.files(f"work/{subset}", ".json"):
+        for path in folder.files(folder.layout.waiting(subset), ".json"):
             try:
                 rows += manifest.decode_rows(path)
             except (OSError, ValueError):
@@ -240,14 +237,14 @@ def _waiting(folder: Folder, info: dict[str, Any], sandbox: Sandbox) -> bool:
 def _failures(folder: Folder, info: dict[str, Any], sandbox: Sandbox) -> int:
     rows = []
     for subset in info["plan"]:
-        for path in folder.files(f"ledger/failed/{subset}", ".json"):
+        for path in folder.files(folder.layout.failed(subset), ".json"):
             try:
-                entry = json.loads(path.read_bytes())
-                key, reason, attempts = entry["key"], entry["reason"], int(entry["attempts"])
-            except (OSError, ValueError, KeyError, TypeError):
+                entry = Failure.parse(path.read_bytes(), path)
+            except (OSError, StorageError):
                 continue
-            if NAME.fullmatch(str(key)) and attempts >= ledger.ATTEMPTS:
-                rows.append({"key": key, "subject": key, "subset": subset, "reason": str(reason)})
+            if NAME.fullmatch(entry.key) and entry.attempts >= ATTEMPTS:
+                row = {"key": entry.key, "subject": entry.key, "subset": subset}
+                rows.append(row | {"reason": entry.reason})
     described = dict.fromkeys(("key", "subject", "subset", "reason"), "VARCHAR")
     _fill(
         sandbox, "failures", described | {"failed": "BOOLEAN"}, [r | {"failed": True} for r in rows]

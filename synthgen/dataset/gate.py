@@ -1,4 +1,4 @@
-"""The gate: what every shot must keep before it is stored, and when it is verified."""
+"""The gate: checks each shot must pass before it is stored, and again when it is verified."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import numpy as np
 from assets_procedural.conventions.camera import LANDMARK_MARGIN
 from assets_procedural.conventions.colour import display, to_bytes
 from assets_procedural.conventions.parts import Part
+from synthgen.dataset.passes import PASSES
 from synthgen.dataset.shot import Shot, camera_of
 
 PART_IDS = tuple(Part)
@@ -133,23 +134,21 @@ def inspect(shot: Shot) -> tuple[list[str], dict[str, float]]:
 
 
 def _shapes(shot: Shot) -> list[str]:
+    names = {p.name for p in PASSES}
+    if differing := names ^ shot.passes.keys():
+        lacking = ", ".join(sorted(names & differing)) or "none"
+        unknown = ", ".join(sorted(differing - names)) or "none"
+        return [f"other passes than a dataset's (missing: {lacking}; unknown: {unknown})"]
     height, width = shot.depth.shape[:2]
     count = len(shot.meta.get("environments", ()))
-    expected = {
-        "rgb": ((count, height, width, shot.rgb.shape[-1]), np.uint8),
-        "albedo": ((height, width, 3), np.uint8),
-        "normal": ((height, width, 3), np.float16),
-        "depth": ((height, width), np.float32),
-        "uv": ((height, width, 2), np.float32),
-        "canonical": ((height, width, 3), np.float32),
-        "alpha": ((height, width), np.uint8),
-        "parts": ((height, width), np.uint8),
+    expected: dict[str, tuple[np.ndarray, tuple[int, ...], type[np.generic]]] = {
+        "rgb": (shot.rgb, (count, height, width, shot.rgb.shape[-1]), np.uint8)
     }
+    expected |= {p.name: (shot.passes[p.name], p.shape(height, width), p.dtype) for p in PASSES}
     if shot.hdr is not None:
-        expected["hdr"] = ((count, height, width, 4), np.float16)
+        expected["hdr"] = (shot.hdr, (count, height, width, 4), np.float16)
     problems = []
-    for name, (shape, dtype) in expected.items():
-        array = getattr(shot, name)
+    for name, (array, shape, dtype) in expected.items():
         if array.shape != shape or array.dtype != dtype:
             problems.append(f"{name} is {array.dtype} {array.shape}, not {np.dtype(dtype)} {shape}")
     if shot.rgb.shape[-1] not in (3, 4):
@@ -181,7 +180,7 @@ def _shapes(shot: Shot) -> list[str]:
 
 def _values(shot: Shot) -> list[str]:
     problems = []
-    arrays = {name: getattr(shot, name) for name in ("normal", "depth", "uv", "canonical")}
+    arrays = dict(shot.passes)
     if shot.hdr is not None:
         arrays["hdr"] = shot.hdr
     arrays |= {f"geometry {name}": array for name, array in shot.geometry.items()}
@@ -194,11 +193,16 @@ def _values(shot: Shot) -> list[str]:
     illegal = set(np.unique(shot.parts).tolist()) - set(PART_IDS)
     if illegal:
         problems.append(f"unknown part ids {sorted(illegal)}")
-    if ((shot.depth > 0) != mask).any() or (shot.depth < 0).any():
-        problems.append("depth is not positive exactly where parts are labelled")
-    for name in ("normal", "uv", "canonical"):
-        if getattr(shot, name)[~mask].any():
-            problems.append(f"{name} is not 0 in the background")
+    for each in PASSES:
+        if each.background is None:
+            continue
+        array = shot.passes[each.name]
+        if each.positive:
+            above = array > each.background
+            if (above != mask).any() or (array < each.background).any():
+                problems.append(f"{each.name} is not positive exactly where parts are labelled")
+        elif (array[~mask] != each.background).any():
+            problems.append(f"{each.name} is not {each.background:g} in the background")
     exposures = np.asarray(shot.meta["exposures"], float)
     if not (np.isfinite(exposures) & (exposures > 0)).all():
         problems.append(f"exposures {exposures.tolist()} are not all finite and positive")

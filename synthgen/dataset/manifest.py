@@ -17,6 +17,8 @@ from assets_procedural.conventions.files import replacing
 from synthgen.dataset import ledger
 from synthgen.dataset.codecs import encode_json
 from synthgen.dataset.columns import schema, schema_of
+from synthgen.dataset.folder import DatasetFolder, Place, StorageError
+from synthgen.dataset.records import read_description
 
 if TYPE_CHECKING:
     import duckdb
@@ -59,10 +61,10 @@ def read_rows(path: Path, shard: str | None = None) -> list[dict[str, Any]]:
         return [dict(zip(names, values, strict=True)) for values in result.fetchall()]
 
 
-def merge(out: Path, subset: str) -> Path:
-    """Join the parts of all committed shards into manifest/<subset>.parquet; bounded memory."""
-    target = out / "manifest" / f"{subset}.parquet"
-    if parts := _parts(out, subset):
+def merge(folder: DatasetFolder, subset: str) -> Path:
+    """Join the parts of all committed shards into the subset's manifest; bounded memory."""
+    target = folder.manifest(subset)
+    if parts := _parts(folder, subset):
         _write_parquet(target, f"SELECT * FROM {_parquet_source(parts)}")
     else:
         columns = ", ".join(f'NULL::{kind} AS "{n}"' for n, kind in schema((), ()).items())
@@ -70,17 +72,15 @@ def merge(out: Path, subset: str) -> Path:
     return target
 
 
-def files(out: Path, subset: str) -> list[Path]:
-    """The Parquet files that describe a subset: merged, or the parts while it is rendered."""
-    merged = out / "manifest" / f"{subset}.parquet"
-    if ledger.read_dataset_json(out).get("complete") and merged.exists():
-        return [merged]
-    return _parts(out, subset)
+def files(folder: DatasetFolder, subset: str, complete: bool) -> list[Path]:
+    """The Parquet files that describe a subset: merged if `complete`, or the parts until then."""
+    merged = folder.manifest(subset)
+    return [merged] if complete and merged.exists() else _parts(folder, subset)
 
 
-def _parts(out: Path, subset: str) -> list[Path]:
-    names = [Path(r["tar"]).stem for r in ledger.shard_records(out, subset) if r["subjects"]]
-    return [path for name in names if (path := ledger.part_file(out, subset, name)).exists()]
+def _parts(folder: DatasetFolder, subset: str) -> list[Path]:
+    shards = ledger.committed(folder, subset)
+    return [files.rows for files, record in shards if record.subjects and files.rows.exists()]
 
 
 def _write_parquet(target: Path, query_text: str) -> None:
@@ -128,28 +128,28 @@ def _escape(path: Path | str) -> str:
 # ---------------------------------------------------------------- queries
 
 
-def connect(out: Path | str) -> duckdb.DuckDBPyConnection:
+def connect(out: Place) -> duckdb.DuckDBPyConnection:
     """A DuckDB connection with a view per subset and `manifest` over all of them.
 
     Finished subjects that wait for their shard are included. Raises `StorageError` if `out` is no
     dataset or holds no finished subject.
     """
-    out = Path(out)
-    info = ledger.read_dataset_json(out)
+    folder = DatasetFolder(out)
+    info = read_description(folder)
     connection = _database()
     views = []
-    for subset in info["plan"]:
+    for subset in info.plan:
         sources = []
-        if parquet := files(out, subset):
+        if parquet := files(folder, subset, info.complete):
             sources.append(f"SELECT * FROM {_parquet_source(parquet)}")
-        waiting = sorted((out / "work" / subset).glob("*.json"))
+        waiting = sorted(folder.waiting(subset).glob("*.json"))
         if waiting:
             sources.append(_json_source(waiting, schema_of(decode_rows(waiting[0]))))
         if sources:
             connection.execute(f'CREATE VIEW "{subset}" AS {" UNION ALL BY NAME ".join(sources)}')
             views.append(f'SELECT * FROM "{subset}"')
     if not views:
-        raise ledger.StorageError(f"{out}: no subject is finished yet")
+        raise StorageError(f"{folder}: no subject is finished yet")
     connection.execute(f"CREATE VIEW manifest AS {' UNION ALL BY NAME '.join(views)}")
     return connection
 
@@ -166,7 +166,7 @@ class Result:
         return [dict(zip(self.column_names, row, strict=True)) for row in self.rows]
 
 
-def query(out: Path | str, sql: str) -> Result:
+def query(out: Place, sql: str) -> Result:
     """Run SQL over the manifest: tables `manifest` (all subsets) and one per subset.
 
     Raises `StorageError` with one line for a wrong query or a folder that is no dataset.
@@ -179,4 +179,4 @@ def query(out: Path | str, sql: str) -> Result:
             names = [column[0] for column in result.description or ()]
             return Result(names, result.fetchall())
         except duckdb.Error as error:
-            raise ledger.StorageError(f"query: {' '.join(str(error).split())}") from None
+            raise StorageError(f"query: {' '.join(str(error).split())}") from None

@@ -10,13 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from synthgen.dataset import ledger, manifest
+from synthgen.dataset import manifest
 from synthgen.dataset.codecs import decode_exr
+from synthgen.dataset.folder import DatasetFolder, Place, StorageError, subset_of
+from synthgen.dataset.records import Description, read_description
 from synthgen.dataset.shards import MEMBER_OF, decode, decode_fields, read_sample
 from synthgen.dataset.shot import Shot
 
@@ -32,7 +33,7 @@ class Index:
     shards: tuple[str, ...]
 
     def subset(self, position: int) -> str:
-        return self.shards[self.shard[position]].split("/")[1]
+        return subset_of(self.shards[self.shard[position]])
 
 
 class Dataset:
@@ -43,8 +44,9 @@ class Dataset:
     to other processes.
     """
 
-    def __init__(self, folder: Path, index: Index) -> None:
+    def __init__(self, folder: DatasetFolder, description: Description, index: Index) -> None:
         self.folder = folder
+        self.description = description
         self.index = index
 
     def __len__(self) -> int:
@@ -68,7 +70,7 @@ class Dataset:
         try:
             return self[key]
         except (KeyError, ValueError) as error:
-            raise ledger.StorageError(f"{self.folder}: {error.args[0]}") from None
+            raise StorageError(f"{self.folder}: {error.args[0]}") from None
 
     def read(self, which: int | str, fields: tuple[str, ...]) -> dict[str, Any]:
         """Decode some fields only: `rgb_00`, `hdr_00`, `albedo`, `normal`, `depth`, `meta`, …"""
@@ -93,7 +95,7 @@ class Dataset:
 
         Raises `KeyError` if the dataset has no environment of that id.
         """
-        path = self.folder / "environments" / f"{identifier}.exr"
+        path = self.folder.environment(identifier)
         if not path.exists():
             raise KeyError(identifier)
         planes = decode_exr(path.read_bytes())
@@ -119,12 +121,12 @@ class Dataset:
 
     def _members(self, position: int, wanted: set[str] | None = None) -> dict[str, bytes]:
         index = self.index
-        path = self.folder / index.shards[index.shard[position]]
+        path = self.folder.inside(index.shards[index.shard[position]])
         return read_sample(path, int(index.offset[position]), int(index.size[position]), wanted)
 
 
 def open_dataset(
-    folder: Path | str,
+    folder: Place,
     subset: str | None = None,
     split: str | None = None,
     where: str | None = None,
@@ -136,12 +138,13 @@ def open_dataset(
     """
     import duckdb
 
-    folder = Path(folder)
-    info = ledger.read_dataset_json(folder)
-    if subset is not None and subset not in info["plan"]:
-        raise ledger.StorageError(f"{folder}: no subset {subset}; it has {', '.join(info['plan'])}")
+    folder = DatasetFolder(folder)
+    description = read_description(folder)
+    if subset is not None and subset not in description.plan:
+        known = ", ".join(description.plan)
+        raise StorageError(f"{folder}: no subset {subset}; it has {known}")
     if split not in (None, "train", "validation", "test"):
-        raise ledger.StorageError(f"split {split!r}: must be train, validation or test")
+        raise StorageError(f"split {split!r}: must be train, validation or test")
     conditions = [f"({where})"] if where else []
     values = []
     for name, value in (("subset", subset), ("split", split)):
@@ -154,9 +157,9 @@ def open_dataset(
             rows = connection.execute(
                 f'SELECT "key", shard, "offset", "size" FROM manifest{clause}', values
             )
-            return Dataset(folder, _index(rows))
+            return Dataset(folder, description, _index(rows))
         except duckdb.Error as error:
-            raise ledger.StorageError(f"where: {' '.join(str(error).split())}") from None
+            raise StorageError(f"where: {' '.join(str(error).split())}") from None
 
 
 def _index(rows: Any) -> Index:

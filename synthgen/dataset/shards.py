@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from assets_procedural.conventions.files import replacing
+from synthgen.dataset import passes
 from synthgen.dataset.codecs import (
     decode_exr,
     decode_npz,
@@ -26,32 +27,14 @@ from synthgen.dataset.codecs import (
     encode_npz,
     encode_png,
 )
+from synthgen.dataset.passes import AOV_MEMBER, PASSES, Pass
 from synthgen.dataset.shot import Shot
 
-# aov.exr: channel name -> (field, component, pixel type)
-AOV_CHANNELS: dict[str, tuple[str, int | None, type]] = {
-    "normal.X": ("normal", 0, np.float16),
-    "normal.Y": ("normal", 1, np.float16),
-    "normal.Z": ("normal", 2, np.float16),
-    "depth.Z": ("depth", None, np.float32),
-    "uv.U": ("uv", 0, np.float32),
-    "uv.V": ("uv", 1, np.float32),
-    "canonical.X": ("canonical", 0, np.float32),
-    "canonical.Y": ("canonical", 1, np.float32),
-    "canonical.Z": ("canonical", 2, np.float32),
-}
-# field of a Shot -> member that holds it
-MEMBER_OF = {
-    "albedo": "albedo.png",
-    "normal": "aov.exr",
-    "depth": "aov.exr",
-    "uv": "aov.exr",
-    "canonical": "aov.exr",
-    "alpha": "alpha.png",
-    "parts": "parts.png",
+MEMBER_OF = {p.name: p.member for p in PASSES} | {
     "geometry": "geometry.npz",
     "meta": "meta.json",
 }
+"""Field of a sample -> the member that holds it; pictures have one each."""
 BLOCK = tarfile.BLOCKSIZE
 
 
@@ -65,20 +48,26 @@ def encode(shot: Shot) -> dict[str, bytes]:
         for i, image in enumerate(shot.hdr):
             planes = {c: image[..., k].astype(np.float16) for k, c in enumerate("RGBA")}
             members[f"hdr_{i:02d}.exr"] = encode_exr(planes)
-    members["albedo.png"] = encode_png(shot.albedo)
-    planes = {}
-    for name, (source, component, dtype) in AOV_CHANNELS.items():
-        array = getattr(shot, source)
-        planes[name] = (array if component is None else array[..., component]).astype(dtype)
-    members["aov.exr"] = encode_exr(planes)
-    members["alpha.png"] = encode_png(shot.alpha)
-    members["parts.png"] = encode_png(shot.parts)
+    for member, held in passes.members().items():
+        if member == AOV_MEMBER:
+            members[member] = encode_exr(_planes(shot, held))
+        else:
+            members[member] = encode_png(shot.passes[held[0].name])
     members["geometry.npz"] = encode_npz(shot.geometry)
     # As a string, because its keys vary from person to person: readers that infer one type for all
     # samples, as Hugging Face's does, could not hold it as an object.
     person = encode_json(shot.meta["person"]).decode()
     members["meta.json"] = encode_json(shot.meta | {"person": person})
     return members
+
+
+def _planes(shot: Shot, held: list[Pass]) -> dict[str, np.ndarray]:
+    planes = {}
+    for each in held:
+        array = np.atleast_3d(shot.passes[each.name])
+        for k, channel in enumerate(each.channels):
+            planes[channel] = array[..., k].astype(each.dtype)
+    return planes
 
 
 def decode(key: str, members: dict[str, bytes]) -> Shot:
@@ -95,7 +84,9 @@ def decode(key: str, members: dict[str, bytes]) -> Shot:
         key=key,
         rgb=np.stack(images),
         hdr=np.stack(hdr) if hdr else None,
-        **{name: fields[name] for name in MEMBER_OF},
+        passes={p.name: fields[p.name] for p in PASSES},
+        geometry=fields["geometry"],
+        meta=fields["meta"],
     )
 
 
@@ -107,7 +98,7 @@ def decode_fields(members: dict[str, bytes]) -> dict[str, Any]:
         try:
             if extension == "png":
                 fields[stem] = decode_png(data)
-            elif name == "aov.exr":
+            elif name == AOV_MEMBER:
                 fields |= _split_aov(decode_exr(data))
             elif extension == "exr":
                 planes = decode_exr(data)
@@ -123,15 +114,15 @@ def decode_fields(members: dict[str, bytes]) -> dict[str, Any]:
 
 
 def _split_aov(planes: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    missing = set(AOV_CHANNELS) - set(planes)
+    held = passes.members()[AOV_MEMBER]
+    missing = {channel for p in held for channel in p.channels} - set(planes)
     if missing:
         raise ValueError(f"channels {sorted(missing)} are missing")
-    return {
-        "normal": np.stack([planes[f"normal.{c}"] for c in "XYZ"], -1),
-        "depth": planes["depth.Z"],
-        "uv": np.stack([planes[f"uv.{c}"] for c in "UV"], -1),
-        "canonical": np.stack([planes[f"canonical.{c}"] for c in "XYZ"], -1),
-    }
+    split = {}
+    for each in held:
+        stack = [planes[channel] for channel in each.channels]
+        split[each.name] = stack[0] if len(stack) == 1 else np.stack(stack, -1)
+    return split
 
 
 def _brief(error: BaseException) -> str:

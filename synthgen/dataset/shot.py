@@ -35,13 +35,14 @@ class Shot:
 
     rgb        (E, H, W, 3 | 4) uint8, display-referred
     hdr        (E, H, W, 4) float16, linear Rec.709 premultiplied foreground, or None
-    albedo     (H, W, 3) uint8, sRGB base colour
-    normal     (H, W, 3) float16, unit, camera space, 0 where nothing is hit
-    depth      (H, W) float32, planar z in metres, 0 where nothing is hit
-    uv         (H, W, 2) float32
-    canonical  (H, W, 3) float32, canonical-pose coordinates in metres
-    alpha      (H, W) uint8, soft matte
-    parts      (H, W) uint8, FaceSynthetics ids, 0 where nothing is hit
+    passes     arrays by name, all of `synthgen.dataset.passes`; each is an attribute, too:
+      albedo     (H, W, 3) uint8, sRGB base colour
+      normal     (H, W, 3) float16, unit, camera space, 0 where nothing is hit
+      depth      (H, W) float32, planar z in metres, 0 where nothing is hit
+      uv         (H, W, 2) float32
+      canonical  (H, W, 3) float32, canonical-pose coordinates in metres
+      alpha      (H, W) uint8, soft matte
+      parts      (H, W) uint8, FaceSynthetics ids, 0 where nothing is hit
     geometry   arrays, see the module's text
     meta       JSON-serialisable provenance, camera and landmarks
     cost       seconds per stage; goes to the manifest alone, so that shards are reproducible
@@ -50,16 +51,23 @@ class Shot:
     key: str
     rgb: np.ndarray
     hdr: np.ndarray | None
-    albedo: np.ndarray
-    normal: np.ndarray
-    depth: np.ndarray
-    uv: np.ndarray
-    canonical: np.ndarray
-    alpha: np.ndarray
-    parts: np.ndarray
+    passes: dict[str, np.ndarray]
     geometry: dict[str, np.ndarray]
     meta: dict[str, Any]
     cost: dict[str, float] = field(default_factory=dict)
+
+    def __getattr__(self, name: str) -> np.ndarray:
+        # Copying and unpickling ask before there are any fields.
+        passes = self.__dict__.get("passes", {})
+        if name not in passes:
+            raise AttributeError(f"a shot has no {name}")
+        return passes[name]
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name in self.__dict__.get("passes", {}):
+            self.passes[name] = value
+        else:
+            super().__setattr__(name, value)
 
 
 @dataclass

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 from assets_procedural.conventions import console
 from assets_procedural.light.pool import pool, provenance, write_pool
 from synthgen.dataset import ledger
+from synthgen.dataset.folder import DatasetFolder, Place, StorageError
 from synthgen.farm import DEFAULT_RENDERER, calibration
 from synthgen.farm.commit import clean_shared
 from synthgen.farm.run import Run, Summary, full
@@ -34,7 +35,7 @@ SUBJECTS_PER_WORKER = 20
 
 def render_job(
     job: JobSpec,
-    out: Path | str,
+    out: Place,
     workers: int | None = None,
     threads: int = 1,
     device: str = "cpu",
@@ -60,46 +61,45 @@ def render_job(
     index, count = shard
     if not 1 <= index <= count:
         raise ValueError(f"slice {index}/{count}: must be i/n with 1 <= i <= n")
-    out = Path(out)
+    folder = DatasetFolder(out)
     workers = workers or max(1, calibration.cores() // threads)
     specs = pool(job.environments, job.seed)
     the_plan = Plan(job, [spec.id for spec in specs])
-    with _interruptible(), _one_line_iffull(out):
+    with _interruptible(), _one_line_iffull(folder):
         origins = [provenance(spec) for spec in specs]
-        publish.check(out, the_plan, origins, renderer)
-        with ledger.slice_lock(out, shard):
-            with ledger.door(out):
-                publish.begin(out, the_plan, origins, renderer)
-                clean_shared(out)
-                _write_panoramas(out, specs)
-            (out / "work" / "logs").mkdir(parents=True, exist_ok=True)
-            orders = Orders(job, out, renderer, device, threads, Path())
+        publish.check(folder, the_plan, origins, renderer)
+        with ledger.slice_lock(folder, shard):
+            with ledger.shared_files_lock(folder):
+                publish.begin(folder, the_plan, origins, renderer)
+                clean_shared(folder)
+                _write_panoramas(folder, specs)
+            folder.logs.mkdir(parents=True, exist_ok=True)
+            orders = Orders(job, folder.root, renderer, device, threads, Path())
             run = Run(the_plan, orders, shard, workers, time_limit, subjects_per_worker)
             summary = run.go(limit, retry_failed)
-            with ledger.door(out):
-                summary.complete = publish.complete(out)
-            if summary.complete and not ledger.failures(out):
-                shutil.rmtree(out / "work", ignore_errors=True)
+            with ledger.shared_files_lock(folder):
+                summary.complete = publish.complete(folder)
+            if summary.complete and not ledger.failures(folder):
+                shutil.rmtree(folder.work, ignore_errors=True)
     return summary
 
 
-def _write_panoramas(out: Path, specs: Sequence[EnvironmentSpec]) -> None:
+def _write_panoramas(folder: DatasetFolder, specs: Sequence[EnvironmentSpec]) -> None:
     """Store the panoramas; those that something was rendered with already stay as they are."""
-    folder = out / "environments"
-    if ledger.has_records(out):
-        specs = [spec for spec in specs if not (folder / f"{spec.id}.exr").exists()]
+    if folder.has_results():
+        specs = [spec for spec in specs if not folder.environment(spec.id).exists()]
     if specs:
         with console.progress() as bar:
-            write_pool(bar.track(specs, description="storing panoramas"), folder)
+            write_pool(bar.track(specs, description="storing panoramas"), folder.environments)
 
 
 @contextlib.contextmanager
-def _one_line_iffull(out: Path) -> Iterator[None]:
+def _one_line_iffull(folder: DatasetFolder) -> Iterator[None]:
     try:
         yield
     except OSError as error:
         if is_disk_full(error):
-            raise ledger.StorageError(full(out)) from None
+            raise StorageError(full(folder.root)) from None
         raise
 
 

@@ -13,6 +13,7 @@ from pathlib import Path
 
 from assets_procedural.light.pool import EnvironmentSpec, PanoramaError, load, pool
 from synthgen.dataset import ledger
+from synthgen.dataset.folder import DatasetFolder
 from synthgen.errors import JobError
 from synthgen.planning.job import JobSpec
 from synthgen.planning.plan import Plan, subject_bytes, subject_key
@@ -89,16 +90,16 @@ def check_disk(
 
 def _missing(out: Path, job: JobSpec, slice_: tuple[int, int]) -> Iterator[int]:
     """Expected bytes of every subject of a slice that is not on disk, in the order of a run."""
+    folder = DatasetFolder(out)
     # What a shard holds does not depend on the environments.
     the_plan = Plan(job, [""] * max(s.environments for s in job.subsets.values()))
     every = [shard for name in job.subsets for shard in the_plan.shards(name)]
     for shard in every[slice_[0] - 1 :: slice_[1]]:
-        if ledger.shard_record(out, shard.subset, Path(shard.name).stem) is None:
+        if ledger.shard_record(folder, shard.name) is None:
             size = subject_bytes(job, job.subsets[shard.subset])
             for index in shard.subjects:
-                if not os.path.exists(
-                    ledger.work_file(out, shard.subset, subject_key(index), ".json")
-                ):
+                rows = folder.subject(shard.subset, subject_key(index)).waiting_rows
+                if not os.path.exists(rows):
                     yield size
 
 

@@ -8,10 +8,10 @@ import os
 import sys
 import time
 from collections.abc import Callable, Iterator
-from pathlib import Path
 
 from assets_procedural.conventions import console
 from synthgen.dataset import ledger
+from synthgen.dataset.records import RunNote
 from synthgen.farm.commit import frames_done
 from synthgen.farm.state import RunState
 
@@ -26,7 +26,7 @@ def shown(run: RunState) -> Iterator[Callable[[], None]]:
         for s in run.shards
         for spec in [run.plan.job.subsets[s.subset]]
     )
-    before = frames_done(run.out, run.plan, run.shards)
+    before = frames_done(run.folder, run.plan, run.shards)
 
     def done() -> int:
         return before + run.summary.frames
@@ -38,7 +38,7 @@ def shown(run: RunState) -> Iterator[Callable[[], None]]:
         if new:
             left = (total - before - new) * elapsed / new
             text = f"{new / elapsed:.2f} frames/s, {console.duration(left)} left"
-        bad = len(ledger.failures(run.out)) if run.streak else 0
+        bad = len(ledger.failures(run.folder)) if run.streak else 0
         return text + (f", {bad} failed" if bad else "")
 
     if not sys.stderr.isatty():
@@ -74,24 +74,19 @@ def _lines(text: Callable[[], str]) -> Callable[[], None]:
 def note(run: RunState) -> None:
     """Tell `synthgen status`, in another process, what this run is busy with."""
     now, clock = time.time(), time.monotonic()
-    content = {
-        "pid": os.getpid(),
-        "started": run.started,
-        "workers": len(run.slots),
-        "frames": run.summary.frames,
-        "running": [
-            [s.task.subject.subset, s.task.subject.key, now - (clock - s.since)]
+    content = RunNote(
+        pid=os.getpid(),
+        started=run.started,
+        workers=len(run.slots),
+        frames=run.summary.frames,
+        running=[
+            (s.task.subject.subset, s.task.subject.key, now - (clock - s.since))
             for s in run.slots.values()
             if s.task is not None
         ],
-    }
-    path = note_file(run)
+    )
+    path = run.folder.run_note(run.slice)
     path.parent.mkdir(exist_ok=True)
     temporary = path.with_suffix(".tmp")
-    temporary.write_text(json.dumps(content))
+    temporary.write_text(json.dumps(content.to_json()))
     temporary.replace(path)
-
-
-def note_file(run: RunState) -> Path:
-    """Where `note` leaves it; there while the run lasts."""
-    return run.out / "work" / "runs" / f"{run.slice}.json"

@@ -13,10 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from synthgen.dataset import ledger
 from synthgen.dataset.codecs import encode_json
+from synthgen.dataset.folder import DatasetFolder, Place, StorageError
 from synthgen.dataset.reading import open_dataset
-from synthgen.dataset.shards import MEMBER_OF
 from synthgen.dataset.shot import Shot
 from synthgen.farm.process import start
 from synthgen.farm.run import time_allowed
@@ -53,7 +52,7 @@ class Report:
 
 
 def rerender(
-    out: Path | str,
+    out: Place,
     key: str,
     subset: str | None = None,
     device: str = "cpu",
@@ -64,18 +63,19 @@ def rerender(
 
     Raises `StorageError` if there is no such shot or the renderer fails.
     """
-    out = Path(out)
     dataset = open_dataset(out, subset=subset)
     stored = dataset.find(key)
-    plan = publish.stored_plan(out)
+    plan = publish.stored_plan(dataset.folder)
     subject = plan.subject(stored.meta["subset"], stored.meta["index"])
     shots = tuple(shot for shot in subject.shots if shot.key == stored.key)
     if not shots:
-        raise ledger.StorageError(f"{out}: the recorded job has no shot {key}")
+        raise StorageError(f"{out}: the recorded job has no shot {key}")
     subject = subject.model_copy(update={"shots": shots})
-    renderer = ledger.read_dataset_json(out)["renderer"]
+    renderer = dataset.description.renderer
     with tempfile.TemporaryDirectory() as folder:
-        orders = Orders(plan.job, out, renderer, device, threads, Path(folder) / "log")
+        orders = Orders(
+            plan.job, dataset.folder.root, renderer, device, threads, Path(folder) / "log"
+        )
         target = Path(folder) / "shot"
         process = start(_render, orders, subject, target)
         process.join(time_allowed(plan.job, subject.frames) if time_limit is None else time_limit)
@@ -86,7 +86,7 @@ def rerender(
             lines = [""]
             with contextlib.suppress(OSError):
                 lines = (orders.log.read_text(errors="replace").strip() or " ").splitlines()
-            raise ledger.StorageError(f"{key}: rendering it again failed: {lines[-1][:200]}")
+            raise StorageError(f"{key}: rendering it again failed: {lines[-1][:200]}")
         again: Shot = pickle.loads(target.read_bytes())
     return compare(stored, again)
 
@@ -101,9 +101,8 @@ def compare(stored: Shot, again: Shot) -> Report:
         )
         for i, (a, b) in enumerate(pairs):
             fields[f"{name}_{i:02d}"] = _difference(a, b)
-    for name in MEMBER_OF:
-        if name not in ("geometry", "meta"):
-            fields[name] = _difference(getattr(stored, name), getattr(again, name))
+    for name in stored.passes:
+        fields[name] = _difference(stored.passes[name], again.passes.get(name))
     for name in sorted(stored.geometry | again.geometry):
         ours, theirs = stored.geometry.get(name), again.geometry.get(name)
         fields[f"geometry {name}"] = _difference(ours, theirs)
@@ -141,9 +140,10 @@ def _numbers(value: Any) -> np.ndarray:
 def _render(orders: Orders, subject: SubjectPlan, target: Path) -> None:
     """Runs in its own process."""
     redirect(orders.log)
+    folder = DatasetFolder(orders.out)
     try:
         rendered = load_renderer(orders.renderer)(
-            subject, orders.job, orders.out / "environments", orders.device, orders.threads
+            subject, orders.job, folder.environments, orders.device, orders.threads
         )
         temporary = target.with_suffix(".tmp")
         temporary.write_bytes(pickle.dumps(rendered.shots[0]))

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from synthgen.dataset import ledger
+from synthgen.dataset.folder import DatasetFolder, StorageError
 from synthgen.farm import progress
 from synthgen.farm.commit import clean_temporary, commit_shard, unpack_shard
 from synthgen.farm.slot import Slot, Task
@@ -53,7 +54,7 @@ class Run(RunState):
         every = [s for name in the_plan.job.subsets for s in the_plan.shards(name)]
         super().__init__(
             plan=the_plan,
-            out=orders.out,
+            folder=DatasetFolder(orders.out),
             slice=f"{shard[0]}-of-{shard[1]}",
             shards=every[shard[0] - 1 :: shard[1]],
         )
@@ -64,7 +65,7 @@ class Run(RunState):
 
     def go(self, limit: int | None, retry_failed: bool) -> Summary:
         """Render until nothing is left or `limit` subjects are rendered."""
-        clean_temporary(self.out, self.shards)
+        clean_temporary(self.folder, self.shards)
         if retry_failed:
             self._forgive()
         tasks = self._tasks()
@@ -95,10 +96,10 @@ class Run(RunState):
         finally:
             for slot in self.slots.values():
                 slot.kill()
-            progress.note_file(self).unlink(missing_ok=True)
+            self.folder.run_note(self.slice).unlink(missing_ok=True)
         self.summary.seconds = time.time() - self.started
         names = {s.name.split("/")[0] for s in self.shards}
-        self.summary.failed = [f for f in ledger.failures(self.out) if f["subset"] in names]
+        self.summary.failed = [f for f in ledger.failures(self.folder) if f.subset in names]
         return self.summary
 
     # ------------------------------------------------------------ what is to do
@@ -107,38 +108,37 @@ class Run(RunState):
         """Subjects still to render, in order; commits shards that need no rendering on the way."""
         reopened = False
         for shard in self.shards:
-            stem = Path(shard.name).stem
-            if ledger.shard_record(self.out, shard.subset, stem) is not None:
+            if ledger.shard_record(self.folder, shard.name) is not None:
                 self._tidy(shard)
                 continue
             left = set()
             for index in shard.subjects:
                 key = subject_key(index)
-                if ledger.subject_done(self.out, shard.subset, key):
-                    ledger.forget_failure(self.out, shard.subset, key)
-                elif not ledger.quarantined(self.out, shard.subset, key):
+                if ledger.waiting(self.folder, shard.subset, key):
+                    ledger.forget_failure(self.folder, shard.subset, key)
+                elif not ledger.quarantined(self.folder, shard.subset, key):
                     left.add(index)
             self.missing[shard.name] = left
             if not left:
                 self._commit(shard)
             elif not reopened:  # a complete dataset may have lost a shard
-                with ledger.door(self.out):
-                    publish.reopen(self.out)
+                with ledger.shared_files_lock(self.folder):
+                    publish.reopen(self.folder)
                 reopened = True
             for index in sorted(left):
                 yield Task(shard, self.plan.subject(shard.subset, index))
 
     def _forgive(self) -> None:
         """Give failed subjects of this slice another chance, opening their shards again."""
-        failed = {(f["subset"], f["key"]) for f in ledger.failures(self.out)}
+        failed = {(f.subset, f.key) for f in ledger.failures(self.folder)}
         for shard in self.shards:
             keys = [k for i in shard.subjects if (shard.subset, k := subject_key(i)) in failed]
-            if keys and ledger.shard_record(self.out, shard.subset, Path(shard.name).stem):
-                with ledger.door(self.out):
-                    publish.reopen(self.out)
-                unpack_shard(self.out, shard)
+            if keys and ledger.shard_record(self.folder, shard.name):
+                with ledger.shared_files_lock(self.folder):
+                    publish.reopen(self.folder)
+                unpack_shard(self.folder, shard)
             for key in keys:  # last: a shard without them and without their failures loses them
-                ledger.forget_failure(self.out, shard.subset, key)
+                ledger.forget_failure(self.folder, shard.subset, key)
 
     # ------------------------------------------------------------ workers
 
@@ -152,7 +152,7 @@ class Run(RunState):
         idle = [n for n in idle if n in self.slots]
         if not idle:
             number = next(n for n in range(self.workers) if n not in self.slots)
-            log = self.out / "work" / "logs" / f"{self.slice}-worker-{number}.log"
+            log = self.folder.log(self.slice, number)
             self.slots[number] = Slot(dataclasses.replace(self.orders, log=log), number)
             idle = [number]
         slot = self.slots[idle[0]]
@@ -189,11 +189,11 @@ class Run(RunState):
         elif message[0] == "ready":
             slot.ready, slot.since = True, time.monotonic()
         elif message[0] == "broken":
-            raise ledger.StorageError(
+            raise StorageError(
                 f"{self.orders.renderer}: cannot start: {message[1]} (log: {slot.log})"
             )
         elif message[0] == "full":
-            raise ledger.StorageError(f"{full(message[1])} ({message[2]}; log: {slot.log})")
+            raise StorageError(f"{full(message[1])} ({message[2]}; log: {slot.log})")
         elif message[0] == "failed":
             # Blender may be left in any state by an exception: go on with a fresh process.
             self._lose(slot, message[1])
@@ -203,7 +203,7 @@ class Run(RunState):
             self.streak.clear()
             self.summary.rendered += 1
             self.summary.frames += task.subject.frames
-            ledger.forget_failure(self.out, task.subject.subset, task.subject.key)
+            ledger.forget_failure(self.folder, task.subject.subset, task.subject.key)
             self._finish(task)
 
     def _lose_dead(self, slot: Slot) -> None:
@@ -218,15 +218,15 @@ class Run(RunState):
         if task is None:
             return
         subset, key = task.subject.subset, task.subject.key
-        if ledger.subject_done(self.out, subset, key):  # it died after its commit
-            ledger.forget_failure(self.out, subset, key)
+        if ledger.waiting(self.folder, subset, key):  # it died after its commit
+            ledger.forget_failure(self.folder, subset, key)
             self._finish(task)
             return
-        log = slot.log.relative_to(self.out).as_posix()
-        attempts = ledger.record_failure(self.out, subset, key, reason, log)
+        log = self.folder.relative(slot.log)
+        attempts = ledger.record_failure(self.folder, subset, key, reason, log)
         self.streak.append((subset, key))
         if len(self.streak if not self.summary.rendered else set(self.streak)) >= HOPELESS:
-            raise ledger.StorageError(
+            raise StorageError(
                 f"the last {len(self.streak)} attempts all failed, the last with: {reason} "
                 f"(log: {slot.log}); mend it, then run again with --retry-failed"
             )
@@ -244,18 +244,18 @@ class Run(RunState):
             self._commit(task.shard)
 
     def _commit(self, shard: ShardPlan) -> None:
-        commit_shard(self.out, shard)
+        commit_shard(self.folder, shard)
         del self.missing[shard.name]
         self._tidy(shard)
 
     def _tidy(self, shard: ShardPlan) -> None:
         """Remove the work files of a committed shard."""
-        folder = self.out / "work" / shard.subset
-        if folder.is_dir() and any(folder.iterdir()):
+        waiting = self.folder.waiting(shard.subset)
+        if waiting.is_dir() and any(waiting.iterdir()):
             for index in shard.subjects:
-                for suffix in (".json", ".tar"):
-                    path = ledger.work_file(self.out, shard.subset, subject_key(index), suffix)
-                    path.unlink(missing_ok=True)
+                files = self.folder.subject(shard.subset, subject_key(index))
+                files.waiting_rows.unlink(missing_ok=True)
+                files.waiting_tar.unlink(missing_ok=True)
 
 
 def _death(code: int | None) -> str:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any
 
+from synthgen.dataset.folder import DatasetFolder
+from synthgen.dataset.records import Failure
 from synthgen.farm.slot import Slot
 from synthgen.planning.plan import Plan, ShardPlan
 
@@ -18,7 +18,7 @@ class Summary:
     rendered: int = 0
     frames: int = 0
     seconds: float = 0.0
-    failed: list[dict[str, Any]] = field(default_factory=list)
+    failed: list[Failure] = field(default_factory=list)
     complete: bool = False
 
 
@@ -27,7 +27,7 @@ class RunState:
     """One pass over a slice of the plan, as far as it has come."""
 
     plan: Plan
-    out: Path
+    folder: DatasetFolder
     slice: str
     shards: list[ShardPlan]
     slots: dict[int, Slot] = field(default_factory=dict)

@@ -24,6 +24,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
+from synthgen.dataset.folder import DatasetFolder
 from synthgen.dataset.shot import RenderedSubject
 from synthgen.farm.commit import GateError, commit_subject
 from synthgen.planning.job import JobSpec
@@ -78,17 +79,15 @@ def load_renderer(name: str) -> Renderer:
 
 
 def _attempt(render: Renderer, orders: Orders, subject: SubjectPlan) -> tuple[Any, ...]:
-    start = time.perf_counter()
+    folder, start = DatasetFolder(orders.out), time.perf_counter()
     try:
-        rendered = render(
-            subject, orders.job, orders.out / "environments", orders.device, orders.threads
-        )
-        commit_subject(orders.out, subject, rendered, time.perf_counter() - start)
+        rendered = render(subject, orders.job, folder.environments, orders.device, orders.threads)
+        commit_subject(folder, subject, rendered, time.perf_counter() - start)
     except Exception as error:
         traceback.print_exc()
-        folder = _full_folder(orders, error)
-        if folder is not None:
-            return "full", folder, reason_of(error)
+        full = _full_folder(orders, error)
+        if full is not None:
+            return "full", full, reason_of(error)
         return "failed", reason_of(error)
     return "done", time.perf_counter() - start
 

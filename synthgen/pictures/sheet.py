@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 from PIL import Image, ImageDraw
 
-from synthgen.dataset import ledger
+from synthgen.dataset.folder import Place
 from synthgen.dataset.reading import Dataset, open_dataset
+from synthgen.dataset.records import Description, PlannedSubset
 from synthgen.dataset.shot import Shot
+from synthgen.pictures.drawing import pictures
 from synthgen.pictures.page import EDGE, FAINT, GAP, INK, PAPER, Tile, font, put, save, thumbnail
-from synthgen.pictures.passes import passes
 
 SHEET = 1560
 
@@ -39,34 +40,36 @@ class _Block:
         return min((inside // self.per_line - (self.shape[0] - 1) * 2) // self.shape[0], 240)
 
 
-def sheet(out: Path | str, target: Path | str, subjects: int = 6) -> Path:
+def sheet(out: Place, target: Path | str, subjects: int = 6) -> Path:
     """Draw a contact sheet with up to `subjects` subjects of each subset. Returns `target`.
 
     First a big picture of everybody, then each subject with its views or frames (columns) under
     its environments (rows), the passes of one shot, and the environments. Raises `StorageError`
     if nothing is finished yet.
     """
-    out = Path(out)
-    info = ledger.read_dataset_json(out)
     dataset = open_dataset(out)
+    info = dataset.description
     grouped = dataset.subjects()
     blocks = []
-    for subset, plan in info["plan"].items():
+    for subset, plan in info.plan.items():
         chosen = _spread([p for (s, _), p in grouped.items() if s == subset], subjects)
         shots = [[dataset[i] for i in _spread(positions, 8)] for positions in chosen]
         if shots:
             blocks.append(_Block(_title(subset, plan), shots))
     page = _Sheet(info, dataset, blocks)
-    people, frames = len(grouped), sum(_lights(info, s) * len(p) for (s, _), p in grouped.items())
+    people, frames = (
+        len(grouped),
+        sum(info.plan[s].environments * len(p) for (s, _), p in grouped.items()),
+    )
     height = page.draw(None, people, frames)
     image = Image.new("RGB", (SHEET, height), PAPER)
     page.draw(image, people, frames)
     return save(image, Path(target))
 
 
-def portraits(out: Path | str, target: Path | str, people: int = 10, columns: int = 5) -> Path:
+def portraits(out: Place, target: Path | str, people: int = 10, columns: int = 5) -> Path:
     """Draw one picture of each of up to `people` subjects, `columns` in a row. Returns `target`."""
-    dataset = open_dataset(Path(out))
+    dataset = open_dataset(out)
     chosen = [dataset[positions[0]] for positions in list(dataset.subjects().values())[:people]]
     size = SHEET // columns
     image = Image.new("RGB", (size * columns, size * -(-len(chosen) // columns)), PAPER)
@@ -78,7 +81,7 @@ def portraits(out: Path | str, target: Path | str, people: int = 10, columns: in
 class _Sheet:
     """Lays the sheet out from top to bottom; without an image it only measures."""
 
-    def __init__(self, info: dict[str, Any], dataset: Dataset, blocks: list[_Block]) -> None:
+    def __init__(self, info: Description, dataset: Dataset, blocks: list[_Block]) -> None:
         self.info, self.dataset, self.blocks = info, dataset, blocks
         self.y = 0
         self.image: Image.Image | None = None
@@ -86,8 +89,8 @@ class _Sheet:
     def draw(self, image: Image.Image | None, people: int, frames: int) -> int:
         """Draw everything on `image`; returns the height it takes."""
         self.image, self.y = image, EDGE
-        self._text(self.info["name"], 34, INK, 42)
-        resolution = self.info["job"]["resolution"]
+        self._text(self.info.name, 34, INK, 42)
+        resolution = self.info.job["resolution"]
         self._text(
             f"{people} people, {frames} images of {resolution} x {resolution} pixels", 15, FAINT, 34
         )
@@ -97,7 +100,7 @@ class _Sheet:
             self._block(block)
         strip = (SHEET - 2 * EDGE - 7 * GAP) // 8
         self._text("passes of one shot, shared by its environments", 17, INK, 32)
-        shown = passes(self.blocks[0].subjects[0][0]) if image else dict.fromkeys(range(8))
+        shown = pictures(self.blocks[0].subjects[0][0]) if image else dict.fromkeys(range(8))
         for i, (name, picture) in enumerate(shown.items()):
             self._tile(picture, EDGE + i * (strip + GAP), self.y, strip, strip, str(name))
         self.y += strip + 32
@@ -159,21 +162,15 @@ class _Sheet:
             put(self.image, Tile(picture, x, y, width, height, label))
 
 
-def _title(subset: str, plan: dict[str, Any]) -> str:
-    each = "views" if plan["kind"] == "multiview" else "frames of a track"
-    shots = plan["shots_per_subject"]
-    return f"{subset}: {shots} {each} under {plan['frames_per_subject'] // shots} environments"
+def _title(subset: str, plan: PlannedSubset) -> str:
+    each = "views" if plan.kind == "multiview" else "frames of a track"
+    return f"{subset}: {plan.shots_per_subject} {each} under {plan.environments} environments"
 
 
 def _person(shot: Shot) -> str:
     person = shot.meta["person"]
     names = " over ".join(use["id"] for use in shot.meta["environments"][:4])
     return f"{shot.meta['subject']}   {person['age_years']:.0f} years, {names}"
-
-
-def _lights(info: dict[str, Any], subset: str) -> int:
-    plan = info["plan"][subset]
-    return plan["frames_per_subject"] // plan["shots_per_subject"]
 
 
 def _spread(items: list[Any], count: int) -> list[Any]:

@@ -7,13 +7,14 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw
 
+from synthgen.dataset.folder import Place
 from synthgen.dataset.reading import open_dataset
 from synthgen.dataset.shot import Shot
+from synthgen.pictures.drawing import pictures
 from synthgen.pictures.page import EDGE, FAINT, GAP, INK, PAPER, Tile, font, put, save, thumbnail
-from synthgen.pictures.passes import passes
 
 
-def show(out: Path | str, key: str, target: Path | str, subset: str | None = None) -> Path:
+def show(out: Place, key: str, target: Path | str, subset: str | None = None) -> Path:
     """Draw a shot: every environment with its panorama, then every pass. Returns `target`.
 
     Raises `StorageError` if there is no such shot.
@@ -24,7 +25,7 @@ def show(out: Path | str, key: str, target: Path | str, subset: str | None = Non
     label, strip = 20, 140
     uses = shot.meta["environments"]
     rows = -(-len(uses) // columns)
-    maps = list(passes(shot).items())
+    maps = list(pictures(shot).items())
     pass_rows = -(-len(maps) // columns)
     width = 2 * EDGE + columns * tile + (columns - 1) * GAP
     top = EDGE + 46

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
-
+from synthgen.dataset import passes
+from synthgen.dataset.records import Counts, Description
 from synthgen.planning.plan import SPLITS
 from synthgen.publish.licences import licence
 
@@ -11,57 +11,57 @@ from synthgen.publish.licences import licence
 FIELDS = {
     "rgb_00.png": "Display-referred image under environment 00 (01, 02, … for the others)",
     "hdr_00.exr": "Linear Rec.709 premultiplied foreground, half float",
-    "albedo.png": "True base colour, sRGB",
-    "aov.exr": "normal.XYZ (camera space), depth.Z (planar, metres), uv.UV, canonical.XYZ (metres)",
-    "alpha.png": "Soft matte",
-    "parts.png": "FaceSynthetics part ids 0-18, 255 = ignore",
+    **passes.contents(),
     "geometry.npz": "Control points posed and canonical, normals, joints, 3D landmarks",
     "meta.json": "Camera, environments, exposures, expression, pose, gaze, 2D landmarks, seeds; "
     "`person` is a JSON string",
 }
 
 
-def totals(info: dict[str, Any]) -> dict[str, int]:
+def totals(info: Description) -> Counts:
     """Subjects, shots and frames of a complete dataset."""
-    each = [split for subset in info["counts"].values() for split in subset.values()]
-    return {what: sum(c[what] for c in each) for what in ("subjects", "shots", "frames")}
+    each = [split for subset in info.counts.values() for split in subset.values()]
+    return Counts(
+        subjects=sum(c.subjects for c in each),
+        shots=sum(c.shots for c in each),
+        frames=sum(c.frames for c in each),
+    )
 
 
-def _splits(info: dict[str, Any], subset: str) -> list[str]:
-    return [s for s in SPLITS if info["counts"][subset][s]["shots"]]
+def _splits(info: Description, subset: str) -> list[str]:
+    return [s for s in SPLITS if info.counts[subset][s].shots]
 
 
-def card(info: dict[str, Any]) -> str:
+def card(info: Description) -> str:
     """README.md with the YAML header that the Hugging Face hub reads: configs = subsets."""
-    lines = ["---", f"license: {licence(info)[0]}", f"pretty_name: {info['name']}", "tags:"]
+    lines = ["---", f"license: {licence(info)[0]}", f"pretty_name: {info.name}", "tags:"]
     lines += ["- webdataset", "- synthetic", "- portraits", "- relighting"]
     lines += ["task_categories:", "- image-to-image", "configs:"]
-    for subset in info["plan"]:
+    for subset in info.plan:
         lines += [f"- config_name: {subset}", "  data_files:"]
         for split in _splits(info, subset):
             lines += [f"  - split: {split}", f"    path: data/{subset}/{split}-*.tar"]
-    lines += ["---", "", f"# {info['name']}", ""]
-    total, job = totals(info), info["job"]
+    lines += ["---", "", f"# {info.name}", ""]
+    total, job = totals(info), info.job
     lines += [
-        f"{total['frames']} synthetic portraits of {total['subjects']} people at "
-        f"{job['resolution']}², rendered by synthgen {info['code']['version']} with seed "
+        f"{total.frames} synthetic portraits of {total.subjects} people at "
+        f"{job['resolution']}², rendered by synthgen {info.code['version']} with seed "
         f"{job['seed']}. Every person is made of parameters; nobody is real.",
         "",
         "| subset | kind | split | subjects | shots | images |",
         "|---|---|---|---:|---:|---:|",
     ]
-    for subset, plan in info["plan"].items():
+    for subset, plan in info.plan.items():
         for split in _splits(info, subset):
-            c = info["counts"][subset][split]
+            c = info.counts[subset][split]
             lines.append(
-                f"| {subset} | {plan['kind']} | {split} | {c['subjects']} | {c['shots']} "
-                f"| {c['frames']} |"
+                f"| {subset} | {plan.kind} | {split} | {c.subjects} | {c.shots} | {c.frames} |"
             )
-    if info["quarantined"]:
-        lines += ["", f"{len(info['quarantined'])} subjects failed and are left out."]
+    if info.quarantined:
+        lines += ["", f"{len(info.quarantined)} subjects failed and are left out."]
     lines += ["", "## A sample", "", "| field | content |", "|---|---|"]
     lines += [f"| `{name}` | {text} |" for name, text in _fields(info).items()]
-    first = next(iter(info["plan"]))
+    first = next(iter(info.plan))
     split = next(iter(_splits(info, first)), "train")
     lines += [
         "",
@@ -90,15 +90,15 @@ def card(info: dict[str, Any]) -> str:
     ]
     lines += [
         f"| [{entry['name']}]({entry['source']}) | {entry['used_for']} | {entry['licence']} |"
-        for entry in info["licences"]
+        for entry in info.licences
     ]
     lines += [
         f"| {entry['id']} ({entry['author'] or entry['source']}) | panorama | {entry['licence']} |"
-        for entry in info["environments"][:100]
+        for entry in info.environments[:100]
     ]
     return "\n".join(lines) + "\n"
 
 
-def _fields(info: dict[str, Any]) -> dict[str, str]:
-    linear = info["job"]["image"]["linear"]
+def _fields(info: Description) -> dict[str, str]:
+    linear = info.job["image"]["linear"]
     return {name: text for name, text in FIELDS.items() if linear or not name.startswith("hdr")}

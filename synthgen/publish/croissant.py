@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from synthgen.dataset.records import Description
 from synthgen.publish.card import totals
 from synthgen.publish.licences import licence
 
@@ -28,11 +29,11 @@ CONTEXT: dict[str, Any] = {
 } | {term: f"cr:{term}" for term in _TERMS}
 
 
-def croissant(info: dict[str, Any]) -> dict[str, Any]:
+def croissant(info: Description) -> dict[str, Any]:
     """Croissant 1.1 metadata: the manifests as tables, the shards as sets of files."""
     distribution: list[dict[str, Any]] = []
     records: list[dict[str, Any]] = []
-    for subset in info["plan"]:
+    for subset in info.plan:
         table, tars = f"{subset}-manifest", f"{subset}-shards"
         distribution.append(
             {
@@ -41,7 +42,7 @@ def croissant(info: dict[str, Any]) -> dict[str, Any]:
                 "name": table,
                 "contentUrl": f"manifest/{subset}.parquet",
                 "encodingFormat": "application/x-parquet",
-                "sha256": info["files"][f"manifest/{subset}.parquet"],
+                "sha256": info.files[f"manifest/{subset}.parquet"],
             }
         )
         distribution.append(
@@ -95,19 +96,19 @@ def croissant(info: dict[str, Any]) -> dict[str, Any]:
         "@context": CONTEXT,
         "@type": "sc:Dataset",
         "conformsTo": "http://mlcommons.org/croissant/1.1",
-        "name": info["name"],
-        "description": f"{total['frames']} synthetic portraits of {total['subjects']} people with "
+        "name": info.name,
+        "description": f"{total.frames} synthetic portraits of {total.subjects} people with "
         "geometry, masks, cameras and environments.",
         "license": licence(info)[1],
-        "citeAs": f"{info['name']}, rendered by synthgen {info['code']['version']}",
+        "citeAs": f"{info.name}, rendered by synthgen {info.code['version']}",
         # Relative to this file: where the dataset will be published is not known here.
         "url": "README.md",
         "creator": {
             "@type": "sc:Organization",
-            "name": f"synthgen {info['code']['version']}",
+            "name": f"synthgen {info.code['version']}",
         },
-        "datePublished": info["created"],
-        "version": f"{info['format']}.0.0",
+        "datePublished": info.created,
+        "version": f"{info.format}.0.0",
         "isLiveDataset": False,
         "distribution": distribution,
         "recordSet": records,

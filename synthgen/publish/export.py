@@ -11,7 +11,7 @@ from PIL import Image
 
 from assets_procedural.conventions import console
 from assets_procedural.conventions.camera import nerfstudio_frame
-from synthgen.dataset import ledger
+from synthgen.dataset.folder import Place, StorageError
 from synthgen.dataset.reading import open_dataset
 from synthgen.dataset.shot import Shot, camera_of
 
@@ -19,16 +19,16 @@ from synthgen.dataset.shot import Shot, camera_of
 DEPTH_UNIT = 1e-4
 
 
-def nerfstudio(out: Path | str, target: Path | str) -> Path:
+def nerfstudio(out: Place, target: Path | str) -> Path:
     """Write `target`/<subset>/<subject>/<environment id>/transforms.json with what it names.
 
     Images, mattes (white = the person) and 16-bit depth are written as PNG; frames of a video
     carry their `time` in [0, 1]. Depth and mattes are shared by the environments of a subject.
     Returns `target`. Raises `StorageError` if it exists and is not an empty folder.
     """
-    out, target = Path(out), Path(target)
+    target = Path(target)
     if target.exists() and (not target.is_dir() or any(target.iterdir())):
-        raise ledger.StorageError(f"{target}: exists; give a new folder")
+        raise StorageError(f"{target}: exists; give a new folder")
     dataset = open_dataset(out)
     subjects = list(dataset.subjects().items())
     with console.progress() as bar:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from synthgen.dataset.records import Description
 
 # Everything that a picture may contain, with its licence. dataset.json repeats it.
 LICENCES: list[dict[str, str]] = [
@@ -39,8 +39,8 @@ LICENCES: list[dict[str, str]] = [
 ]
 
 
-def licence(info: dict[str, Any]) -> tuple[str, str]:
+def licence(info: Description) -> tuple[str, str]:
     """(Hugging Face id, address): CC0 unless panoramas of the user's own show in the pictures."""
-    if all(entry["licence"] == "CC0-1.0" for entry in info["environments"]):
+    if all(entry["licence"] == "CC0-1.0" for entry in info.environments):
         return "cc0-1.0", "https://creativecommons.org/publicdomain/zero/1.0/"
     return "other", "README.md"

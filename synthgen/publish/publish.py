@@ -18,11 +18,19 @@ import synthgen
 from assets_procedural.conventions.files import sha256, write_atomically
 from synthgen.dataset import ledger, manifest
 from synthgen.dataset.codecs import encode_json
+from synthgen.dataset.folder import DatasetFolder, Place, StorageError
+from synthgen.dataset.records import (
+    FORMAT,
+    Counts,
+    Description,
+    PlannedSubset,
+    Quarantined,
+    ShardSeal,
+    read_description,
+)
 from synthgen.planning.job import JobSpec
 from synthgen.planning.plan import SPLITS, Plan
 from synthgen.publish import card, croissant, licences
-
-FORMAT = 1
 
 
 @functools.cache
@@ -50,68 +58,68 @@ def code_version() -> dict[str, str]:
 # ---------------------------------------------------------------- begin
 
 
-def begin(
-    out: Path, plan: Plan, environments: list[dict[str, Any]], renderer: str
-) -> dict[str, Any]:
+def begin(out: Place, plan: Plan, environments: list[dict[str, Any]], renderer: str) -> Description:
     """Write dataset.json for a new dataset, or `check` that the folder holds this very job."""
-    job = plan.job.model_dump(mode="json")
     info = check(out, plan, environments, renderer)
     if info is None:
-        info = {
-            "format": FORMAT,
-            "name": plan.job.name,
-            "complete": False,
-            "job": job,
-            "renderer": renderer,
-            "environments": environments,
-            "plan": {
-                name: {
-                    "kind": spec.kind,
-                    "subjects": spec.subjects,
-                    "shots_per_subject": spec.shots,
-                    "frames_per_subject": spec.shots * spec.environments,
-                }
+        info = Description(
+            format=FORMAT,
+            name=plan.job.name,
+            complete=False,
+            job=plan.job.model_dump(mode="json"),
+            renderer=renderer,
+            environments=environments,
+            plan={
+                name: PlannedSubset(
+                    kind=spec.kind,
+                    subjects=spec.subjects,
+                    shots_per_subject=spec.shots,
+                    frames_per_subject=spec.shots * spec.environments,
+                )
                 for name, spec in plan.job.subsets.items()
             },
-            "code": code_version(),
-            "created": datetime.now(UTC).date().isoformat(),
-            "licences": licences.LICENCES,
-        }
-        write_atomically(out / "dataset.json", _pretty(info))
+            code=code_version(),
+            created=datetime.now(UTC).date().isoformat(),
+            licences=licences.LICENCES,
+        )
+        _write(DatasetFolder(out), info)
     return info
 
 
 def check(
-    out: Path, plan: Plan, environments: list[dict[str, Any]], renderer: str
-) -> dict[str, Any] | None:
+    out: Place, plan: Plan, environments: list[dict[str, Any]], renderer: str
+) -> Description | None:
     """Whether `out` may be filled with this job: its dataset.json, None if there is none yet.
 
     `environments` is the provenance of the pool, one entry with an "id" per panorama. Raises
     `StorageError` that names the differing fields if the folder holds another job, is a file, has
     something else in it, or was left unfinished by another version of the code. Writes nothing.
     """
-    path = out / "dataset.json"
-    if out.exists() and not out.is_dir():
-        raise ledger.StorageError(f"{out}: is a file; give a folder that --out may fill")
-    foreign = sorted(_foreign(out))
-    if not path.exists():  # asked after the listing: another slice may just be writing it
+    folder = DatasetFolder(out)
+    if folder.root.exists() and not folder.root.is_dir():
+        raise StorageError(f"{folder}: is a file; give a folder that --out may fill")
+    foreign = sorted(_foreign(folder))
+    # Asked after the listing: another slice may just be writing it.
+    if not folder.description.exists():
         if foreign:
-            raise ledger.StorageError(
-                f"{out}: holds other files ({foreign[0]}, …) and no dataset; give an empty folder"
+            raise StorageError(
+                f"{folder}: holds other files ({foreign[0]}, …) and no dataset; "
+                "give an empty folder"
             )
         return None
-    info = ledger.read_dataset_json(out)
-    if info.get("format") != FORMAT:
-        raise ledger.StorageError(
-            f"{path}: format {info.get('format')}, this version writes {FORMAT}; use a new folder"
+    info = read_description(folder)
+    if info.format != FORMAT:
+        raise StorageError(
+            f"{folder.description}: format {info.format}, this version writes {FORMAT}; "
+            "use a new folder"
         )
-    stored = info["job"] | {"renderer": info["renderer"]}
+    stored = info.job | {"renderer": info.renderer}
     wanted = plan.job.model_dump(mode="json") | {"renderer": renderer}
     differing = list(_differences("", stored, wanted))
     if not differing:
-        if not info.get("complete"):
-            _check_code(out, info)
-        there, here = ({e["id"]: e for e in pool} for pool in (info["environments"], environments))
+        if not info.complete:
+            _check_code(folder, info)
+        there, here = ({e["id"]: e for e in pool} for pool in (info.environments, environments))
         differing = [
             f"environment {name} {_how_differs(there.get(name), here.get(name))}"
             for name in [*there, *(here.keys() - there.keys())]
@@ -121,18 +129,18 @@ def check(
             differing = ["environments in another order"]
     if differing:
         shown = "; ".join(differing[:6]) + ("; …" if len(differing) > 6 else "")
-        raise ledger.StorageError(
-            f"{out}: holds another job ({shown}); give another --out folder, or that job"
+        raise StorageError(
+            f"{folder}: holds another job ({shown}); give another --out folder, or that job"
         )
     return info
 
 
-def _foreign(out: Path) -> Iterator[str]:
+def _foreign(folder: DatasetFolder) -> Iterator[str]:
     """What a folder without dataset.json holds that no start of a run can have left there."""
-    for path in out.iterdir() if out.is_dir() else ():
-        if path.name == "work" and path.is_dir():
-            yield from (f"work/{p.name}" for p in path.iterdir() if p.name != "locks")
-        elif not fnmatch(path.name, ".dataset.json.*.tmp"):
+    for path in folder.root.iterdir() if folder.root.is_dir() else ():
+        if path == folder.work and path.is_dir():
+            yield from (folder.relative(p) for p in path.iterdir() if p != folder.locks)
+        elif not fnmatch(path.name, f".{folder.description.name}.*.tmp"):
             yield path.name
 
 
@@ -144,13 +152,14 @@ def _how_differs(there: dict[str, Any] | None, here: dict[str, Any] | None) -> s
     return "is described otherwise"
 
 
-def _check_code(out: Path, info: dict[str, Any]) -> None:
+def _check_code(folder: DatasetFolder, info: Description) -> None:
     """Another version may make other people of the same seeds: it must not render the rest."""
-    there, here = info["code"], code_version()
-    if there != here:
-        raise ledger.StorageError(
-            f"{out}: begun by synthgen {_version(there)}, this is {_version(here)}, and a dataset "
-            "never mixes versions; check out that one to continue, or give another --out folder"
+    here = code_version()
+    if info.code != here:
+        raise StorageError(
+            f"{folder}: begun by synthgen {_version(info.code)}, this is {_version(here)}, and a "
+            "dataset never mixes versions; check out that one to continue, or give another --out "
+            "folder"
         )
 
 
@@ -167,74 +176,83 @@ def _differences(name: str, there: Any, here: Any) -> Iterator[str]:
         yield f"{name}: {json.dumps(there)[:40]} there, {json.dumps(here)[:40]} here"
 
 
-def stored_plan(out: Path) -> Plan:
+def stored_plan(out: Place) -> Plan:
     """The plan of a dataset from its dataset.json alone.
 
     Raises `StorageError` if the recorded job is not valid for this version.
     """
-    info = ledger.read_dataset_json(out)
+    info = read_description(out)
     try:
-        return Plan(JobSpec.model_validate(info["job"]), [e["id"] for e in info["environments"]])
+        return Plan(JobSpec.model_validate(info.job), [e["id"] for e in info.environments])
     except (KeyError, ValueError) as error:
         reason = " ".join(str(error).split())[:200]
-        raise ledger.StorageError(f"{out / 'dataset.json'}: unusable job: {reason}") from None
+        path = DatasetFolder(out).description
+        raise StorageError(f"{path}: unusable job: {reason}") from None
 
 
 # ---------------------------------------------------------------- complete
 
 
-def reopen(out: Path) -> None:
+def reopen(folder: DatasetFolder) -> None:
     """Mark a dataset incomplete before its shards are touched again.
 
     Raises `StorageError` if another version of the code rendered it.
     """
-    info = ledger.read_dataset_json(out)
-    if info["complete"]:
-        _check_code(out, info)
-        write_atomically(out / "dataset.json", _pretty(info | {"complete": False}))
+    info = read_description(folder)
+    if info.complete:
+        _check_code(folder, info)
+        _write(folder, info.model_copy(update={"complete": False}))
 
 
-def complete(out: Path) -> bool:
+def complete(out: Place) -> bool:
     """If all shards are there: merge manifests, write card, Croissant and the full dataset.json.
 
     Returns whether the dataset is complete. Deterministic, and safe to repeat.
     """
-    plan, info = stored_plan(out), ledger.read_dataset_json(out)
+    folder = DatasetFolder(out)
+    plan, info = stored_plan(folder), read_description(folder)
     shards, counts, files = [], {}, {}
     for subset in plan.job.subsets:
-        counts[subset] = {split: {"subjects": 0, "shots": 0, "frames": 0} for split in SPLITS}
+        tally = {split: {"subjects": 0, "shots": 0, "frames": 0} for split in SPLITS}
         for planned in plan.shards(subset):
-            record = ledger.shard_record(out, subset, Path(planned.name).stem)
+            record = ledger.shard_record(folder, planned.name)
             if record is None:
                 return False
-            for what in ("shots", "frames"):
-                counts[subset][planned.split][what] += record[what]
-            counts[subset][planned.split]["subjects"] += len(record["subjects"])
-            if record["subjects"]:
-                shards.append({k: record[k] for k in ("tar", "bytes", "sha256")})
+            tally[planned.split]["subjects"] += len(record.subjects)
+            tally[planned.split]["shots"] += record.shots
+            tally[planned.split]["frames"] += record.frames
+            if record.subjects:
+                shards.append(ShardSeal(tar=record.tar, bytes=record.bytes, sha256=record.sha256))
+        counts[subset] = {split: Counts(**tally[split]) for split in SPLITS}
     for subset in plan.job.subsets:
-        path = manifest.merge(out, subset)
-        files[f"manifest/{path.name}"] = sha256(path)
+        path = manifest.merge(folder, subset)
+        files[folder.relative(path)] = sha256(path)
     for identifier in plan.environment_ids:
-        name = f"environments/{identifier}.exr"
-        if (out / name).exists():
-            files[name] = sha256(out / name)
+        path = folder.environment(identifier)
+        if path.exists():
+            files[folder.relative(path)] = sha256(path)
     quarantined = [
-        {k: entry[k] for k in ("subset", "key", "reason")}
-        for entry in ledger.failures(out)
-        if entry["attempts"] >= ledger.ATTEMPTS
+        Quarantined(subset=entry.subset, key=entry.key, reason=entry.reason)
+        for entry in ledger.failures(folder)
+        if entry.attempts >= ledger.ATTEMPTS
     ]
-    info |= {
-        "complete": True,
-        "counts": counts,
-        "quarantined": quarantined,
-        "shards": shards,
-        "files": files,
-    }
-    write_atomically(out / "croissant.json", _pretty(croissant.croissant(info)))
-    write_atomically(out / "README.md", card.card(info).encode())
-    write_atomically(out / "dataset.json", _pretty(info))
+    info = info.model_copy(
+        update={
+            "complete": True,
+            "counts": counts,
+            "quarantined": quarantined,
+            "shards": shards,
+            "files": files,
+        }
+    )
+    write_atomically(folder.croissant, _pretty(croissant.croissant(info)))
+    write_atomically(folder.card, card.card(info).encode())
+    _write(folder, info)
     return True
+
+
+def _write(folder: DatasetFolder, info: Description) -> None:
+    write_atomically(folder.description, _pretty(info.to_json()))
 
 
 def _pretty(value: Any) -> bytes:

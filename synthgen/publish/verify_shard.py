@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import json
 import math
 import tarfile
 from collections.abc import Callable, Iterator
@@ -11,8 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from assets_procedural.conventions.files import sha256
-from synthgen.dataset import columns, ledger, manifest
+from synthgen.dataset import columns, manifest
+from synthgen.dataset.folder import DatasetFolder
 from synthgen.dataset.gate import inspect
+from synthgen.dataset.records import ShardRecord
 from synthgen.dataset.shards import decode
 from synthgen.dataset.shot import Shot, shown_expression
 from synthgen.planning.plan import ShardPlan, SubjectPlan, subject_key
@@ -23,21 +24,22 @@ UNCHECKED = "cannot be checked"
 
 
 def check_shard(
-    job: tuple[Path, ShardPlan, bool, bool],
+    job: tuple[DatasetFolder, ShardPlan, bool, bool],
 ) -> tuple[list[str], dict[str, int]]:
     """Every broken promise of one shard, and how many subjects, shots and frames it holds.
 
     `job` is (dataset folder, shard, whether the manifest can be read, whether the code that planned
     the dataset is this very version). One argument, so that processes can map over jobs.
     """
-    out, shard, has_table, same_code = job
+    folder, shard, has_table, same_code = job
+    name = folder.relative(folder.shard(shard.name).tar)
     counts = {"subjects": 0, "shots": 0, "frames": 0}
     problems = []
-    found = _shard_problems(out, shard, has_table, same_code, counts)
+    found = _shard_problems(folder, shard, has_table, same_code, counts)
     for problem in unfailing("", found):
-        problems.append(f"data/{shard.name}: {problem}")
+        problems.append(f"{name}: {problem}")
         if len(problems) >= LINES_PER_SHARD:
-            problems.append(f"data/{shard.name}: and more")
+            problems.append(f"{name}: and more")
             break
     return problems, counts
 
@@ -55,43 +57,48 @@ def unfailing(where: str, problems: Iterator[str]) -> Iterator[str]:
 
 
 def _shard_problems(
-    out: Path, shard: ShardPlan, has_table: bool, same_code: bool, counts: dict[str, int]
+    folder: DatasetFolder,
+    shard: ShardPlan,
+    has_table: bool,
+    same_code: bool,
+    counts: dict[str, int],
 ) -> Iterator[str]:
-    stem, path = Path(shard.name).stem, out / "data" / shard.name
+    files = folder.shard(shard.name)
+    path = files.tar
     try:
-        record = json.loads(ledger.record_file(out, shard.subset, stem).read_bytes())
-    except (OSError, ValueError):
+        content = files.record.read_bytes()
+    except OSError:
         yield "has no record in the ledger" if path.exists() else "missing"
         return
+    record = ShardRecord.parse(content, folder.relative(files.record))
     keys = [subject_key(index) for index in shard.subjects]
-    if sorted(record["subjects"] + record["failed"]) != keys:
+    if sorted(record.subjects + record.failed) != keys:
         yield "its record does not list the subjects that the plan puts there"
-    counts["subjects"] = len(record["subjects"])
-    if not record["subjects"]:
+    counts["subjects"] = len(record.subjects)
+    if not record.subjects:
         if path.exists():
             yield "is there, but its record names no subject in it"
         return
     if not path.exists():
         yield "missing"
         return
-    if path.stat().st_size != record["bytes"]:
-        yield f"{path.stat().st_size} bytes instead of {record['bytes']}: truncated or overwritten"
-    elif sha256(path) != record["sha256"]:
+    if path.stat().st_size != record.bytes:
+        yield f"{path.stat().st_size} bytes instead of {record.bytes}: truncated or overwritten"
+    elif sha256(path) != record.sha256:
         yield "changed since it was written (sha256 differs)"
-    part = ledger.part_file(out, shard.subset, stem)
-    if not part.exists() or sha256(part) != record["part_sha256"]:
-        yield f"its part of the manifest ({part.relative_to(out)}) is missing or changed"
-    table = out / "manifest" / f"{shard.subset}.parquet"
+    if not files.rows.exists() or sha256(files.rows) != record.part_sha256:
+        yield f"its part of the manifest ({folder.relative(files.rows)}) is missing or changed"
+    table = folder.manifest(shard.subset)
     rows: dict[str, dict[str, Any]] | None = None
     if has_table and table.exists():
-        rows = {r["key"]: r for r in manifest.read_rows(table, record["tar"])}
-    yield from _samples(out, shard, path, rows, same_code, counts)
+        rows = {r["key"]: r for r in manifest.read_rows(table, record.tar)}
+    yield from _samples(folder, shard, path, rows, same_code, counts)
     if rows:
         yield f"lacks {len(rows)} shots of the manifest, first {next(iter(rows))}"
 
 
 def _samples(
-    out: Path,
+    folder: DatasetFolder,
     shard: ShardPlan,
     path: Path,
     rows: dict[str, dict[str, Any]] | None,
@@ -100,7 +107,7 @@ def _samples(
 ) -> Iterator[str]:
     """Check sample after sample; takes the rows that it meets out of `rows`."""
     subject_of = functools.lru_cache(1)(
-        functools.partial(publish.stored_plan(out).subject, shard.subset)
+        functools.partial(publish.stored_plan(folder).subject, shard.subset)
     )
     fields: list[str] | None = None
     # tarfile, and not our own reader: what others rely on is what is checked.
@@ -126,14 +133,14 @@ def _samples(
                     yield f"{key}: {error}"
                     continue
                 check = functools.partial(_against_plan, subject_of, shard) if same_code else None
-                found = _sample(out, shot, check, row, places)
+                found = _sample(folder, shot, check, row, places)
                 yield from (f"{key}: {problem}" for problem in unfailing("", found))
     except (tarfile.TarError, EOFError, OSError) as error:
         yield f"not a whole tar: {' '.join(str(error).split())[:120]}"
 
 
 def _sample(
-    out: Path,
+    folder: DatasetFolder,
     shot: Shot,
     against_plan: Callable[[str, dict[str, Any]], Iterator[str]] | None,
     row: dict[str, Any] | None,
@@ -146,7 +153,7 @@ def _sample(
     if against_plan is not None:
         yield from against_plan(shot.key, shot.meta)
     if row is not None:
-        yield from _against_row(out, row, shot.meta, quality, places)
+        yield from _against_row(folder, row, shot.meta, quality, places)
 
 
 def _grouped(
@@ -194,7 +201,7 @@ def _against_plan(
 
 
 def _against_row(
-    out: Path,
+    folder: DatasetFolder,
     row: dict[str, Any],
     meta: dict[str, Any],
     quality: dict[str, float],
@@ -210,7 +217,7 @@ def _against_row(
         if not name.startswith("cost_") and not _same(row.get(name), expected.get(name)):
             there, here = str(row.get(name))[:40], str(expected.get(name))[:40]
             yield f"the manifest's {name} is {there}, not {here}"
-    mesh = out / row["mesh"]
+    mesh = folder.inside(row["mesh"])
     if not mesh.is_file():
         yield f"{row['mesh']} is missing"
     elif meta["key"].endswith("_p00") and sha256(mesh) != row["mesh_sha256"]:

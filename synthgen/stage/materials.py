@@ -16,8 +16,6 @@ import numpy as np
 from assets_procedural.people.person import Skin
 from synthgen.stage.nodes import Graph, Socket
 
-LABEL_AOVS = ("albedo", "normal_world", "canonical", "texture", "part")
-
 # Jensen-style mean free paths of skin, relative to the red channel, and the red one's length.
 _SSS_RADIUS = (1.0, 0.36, 0.20)
 _SSS_SCALE = 0.0030

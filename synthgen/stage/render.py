@@ -17,6 +17,7 @@ from assets_procedural.body.landmarks import landmarks
 from assets_procedural.conventions import panorama
 from assets_procedural.conventions.camera import Camera, resolve
 from assets_procedural.conventions.colour import srgb_encode, to_bytes
+from synthgen.dataset.passes import PASSES
 from synthgen.dataset.shot import RenderedSubject, Shot, describe
 from synthgen.planning.job import JobSpec
 from synthgen.planning.plan import ShotPlan, SubjectPlan
@@ -50,7 +51,7 @@ def render_subject(
     shots = {}
     for pose, taken in by_pose.items():
         with clock("pose"):
-            scene.keep()
+            scene.hold_scene()
             bust = identity.pose(subject.poses[pose])
             pose_figure(figure, bust)
             centre, height = frame_of_head(
@@ -72,7 +73,7 @@ def render_subject(
                 shots[shot.key] = compose_shot(
                     subject, shot, job, environments, camera, bust, linear[shot.key], labels
                 )
-        scene.forget()
+        scene.release_scene()
     share = {name: seconds / len(subject.shots) for name, seconds in clock.seconds.items()}
     for shot in shots.values():
         shot.cost = dict(share)
@@ -118,7 +119,7 @@ def compose_shot(
     alpha = np.clip(np.mean([image[..., 3] for image in linear], axis=0), 0, 1)
     alpha = to_bytes(alpha).astype(np.float32) / 255
     stops = [use.exposure for use in subject.environments]
-    factors = photograph.exposures(linear, labels.albedo, labels.parts, stops)
+    factors = photograph.exposures(linear, labels["albedo"], labels["parts"], stops)
 
     colour = job.image.background_colour
     distance = float(np.linalg.norm(frame_of_head(bust)[0] - camera.position))
@@ -139,24 +140,21 @@ def compose_shot(
         camera.intrinsics,
         (camera.width, camera.height),
         pixels,
-        visible(pixels, depth, labels.depth),
+        visible(pixels, depth, labels["depth"]),
     )
     meta["exposures"] = factors
     geometry = control_geometry(bust)
     meta["joints"] = list(bust.bones)
     geometry["landmarks"] = points.astype(np.float32)
     geometry["landmarks_canonical"] = landmarks(bust.canonical).astype(np.float32)
+    passes = {p.name: labels[p.name].astype(p.dtype) for p in PASSES if p.layer}
+    passes["albedo"] = to_bytes(srgb_encode(labels["albedo"]))
+    passes["alpha"] = to_bytes(alpha)
     return Shot(
         key=plan.key,
         rgb=np.stack(pictures),
         hdr=np.stack(linear).astype(np.float16) if job.image.linear else None,
-        albedo=to_bytes(srgb_encode(labels.albedo)),
-        normal=labels.normal.astype(np.float16),
-        depth=labels.depth.astype(np.float32),
-        uv=labels.uv.astype(np.float32),
-        canonical=labels.canonical.astype(np.float32),
-        alpha=to_bytes(alpha),
-        parts=labels.parts,
+        passes=passes,
         geometry=geometry,
         meta=meta,
     )

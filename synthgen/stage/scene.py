@@ -8,7 +8,6 @@ unit. Both are written to a scratch EXR and come back as arrays, row 0 at the to
 from __future__ import annotations
 
 import tempfile
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -17,27 +16,20 @@ import numpy as np
 import OpenEXR
 
 from assets_procedural.conventions.camera import SENSOR_MM, Camera
-from synthgen.stage.materials import LABEL_AOVS
+from synthgen.dataset.passes import PASSES
 from synthgen.stage.nodes import Graph
 
 Mode = Literal["beauty", "labels"]
 _BACKGROUND_DEPTH = 1e9
+_DEPTH_LAYER = "Depth"
 
 
-@dataclass(frozen=True)
-class Labels:
-    """Label passes of one view; 0 in the background.
+Labels = dict[str, np.ndarray]
+"""Label passes of one view by name, float32 but for `parts`; 0 in the background.
 
-    `albedo` (H, W, 3) linear, `normal` (H, W, 3) unit, camera space (OpenGL axes), `canonical`
-    (H, W, 3) and `depth` (H, W) in metres (planar), `uv` (H, W, 2), `parts` (H, W) uint8.
-    """
-
-    albedo: np.ndarray
-    normal: np.ndarray
-    canonical: np.ndarray
-    depth: np.ndarray
-    uv: np.ndarray
-    parts: np.ndarray
+`albedo` (H, W, 3) linear, `normal` (H, W, 3) unit, camera space (OpenGL axes), `canonical`
+(H, W, 3) and `depth` (H, W) in metres (planar), `uv` (H, W, 2), `parts` (H, W) uint8.
+"""
 
 
 def open_stage(resolution: int, samples: int, device: str = "cpu", threads: int = 0) -> None:
@@ -78,10 +70,11 @@ def open_stage(resolution: int, samples: int, device: str = "cpu", threads: int 
 
     layer = bpy.context.view_layer
     layer.use_pass_z = True
-    for name in LABEL_AOVS:
-        aov = layer.aovs.add()
-        aov.name = name
-        aov.type = "VALUE" if name == "part" else "COLOR"
+    for each in PASSES:
+        if each.layer and each.layer != _DEPTH_LAYER:  # which Blender brings along
+            aov = layer.aovs.add()
+            aov.name = each.layer
+            aov.type = "VALUE" if len(each.components) == 1 else "COLOR"
 
     _denoise_matte(scene)
     image = render.image_settings
@@ -147,12 +140,12 @@ def set_camera(camera: Camera) -> None:
     viewer.data.clip_start, viewer.data.clip_end = 0.01, 1000.0
 
 
-def keep() -> None:
-    """Keep Cycles' scene between renders, so that a change of camera or light costs little."""
+def hold_scene() -> None:
+    """Let Cycles hold its scene between renders: a change of camera or light then costs little."""
     bpy.context.scene.render.use_persistent_data = True
 
 
-def forget() -> None:
+def release_scene() -> None:
     """Free Cycles' scene.
 
     Moved geometry is then built anew: updating it in place leaves the last bits of the light to
@@ -179,44 +172,42 @@ def set_mode(mode: Mode, samples: int) -> None:
 def shoot_beauty(seed: int) -> np.ndarray:
     """Render the current view: (H, W, 4) linear Rec.709, premultiplied, finite in half."""
     bpy.context.scene.cycles.seed = seed
-    passes = render_passes()
-    image = np.clip(np.nan_to_num(passes["Combined"]), 0, 65000)
-    image[..., 3] = np.clip(passes["Composite"][..., 0], 0, 1)
+    layers = render_layers()
+    image = np.clip(np.nan_to_num(layers["Combined"]), 0, 65000)
+    image[..., 3] = np.clip(layers["Composite"][..., 0], 0, 1)
     return image
 
 
 def shoot_labels(camera: Camera) -> Labels:
     """Render the label passes of the current view, which must be `camera`'s."""
     bpy.context.scene.cycles.seed = 0
-    passes = render_passes()
-    parts = np.rint(passes["part"]).astype(np.uint8)
-    depth = passes["Depth"]
-    seen = (parts > 0) & (depth < _BACKGROUND_DEPTH)
-
-    def keep(image: np.ndarray) -> np.ndarray:
-        return np.where(seen[..., None] if image.ndim == 3 else seen, image, 0)
-
-    normal = passes["normal_world"][..., :3] @ camera.camera_to_world[:3, :3]
+    layers = render_layers()
+    labels: Labels = {}
+    for each in PASSES:
+        if each.layer:
+            image = layers[each.layer]
+            labels[each.name] = image if image.ndim == 2 else image[..., : len(each.components)]
+    labels["parts"] = np.rint(labels["parts"]).astype(np.uint8)
+    labels["albedo"] = np.clip(labels["albedo"], 0, 1)
+    normal = labels["normal"] @ camera.camera_to_world[:3, :3]
     length = np.linalg.norm(normal, axis=-1, keepdims=True)
-    return Labels(
-        albedo=keep(np.clip(passes["albedo"][..., :3], 0, 1)),
-        normal=keep(normal / np.maximum(length, 1e-6)),
-        canonical=keep(passes["canonical"][..., :3]),
-        depth=keep(depth),
-        uv=keep(passes["texture"][..., :2]),
-        parts=keep(parts),
-    )
+    labels["normal"] = normal / np.maximum(length, 1e-6)
+    seen = (labels["parts"] > 0) & (labels["depth"] < _BACKGROUND_DEPTH)
+    return {
+        name: np.where(seen[..., None] if image.ndim == 3 else seen, image, 0)
+        for name, image in labels.items()
+    }
 
 
-def render_passes() -> dict[str, np.ndarray]:
-    """Render once and return every pass by name: (H, W) or (H, W, C) float32."""
+def render_layers() -> dict[str, np.ndarray]:
+    """Render once and return every layer by name: (H, W) or (H, W, C) float32."""
     with tempfile.TemporaryDirectory(prefix="stage-") as folder:
-        path = Path(folder) / "passes.exr"
+        path = Path(folder) / "layers.exr"
         bpy.context.scene.render.filepath = str(path)
         bpy.ops.render.render(write_still=True)
         with OpenEXR.File(str(path), separate_channels=True) as file:
             channels = {name: c.pixels for name, c in file.channels().items()}
-    passes: dict[str, np.ndarray] = {}
+    layers: dict[str, np.ndarray] = {}
     groups: dict[str, dict[str, np.ndarray]] = {}
     for name, pixels in channels.items():
         layer, group, component = name.split(".")
@@ -225,5 +216,5 @@ def render_passes() -> dict[str, np.ndarray]:
     for group, components in groups.items():
         order = "RGBA" if "R" in components else "XYZV"
         planes = [components[c] for c in order if c in components]
-        passes[group] = planes[0] if len(planes) == 1 else np.stack(planes, axis=-1)
-    return passes
+        layers[group] = planes[0] if len(planes) == 1 else np.stack(planes, axis=-1)
+    return layers

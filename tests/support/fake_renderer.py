@@ -19,6 +19,7 @@ import numpy as np
 
 from assets_procedural.conventions.camera import resolve
 from assets_procedural.conventions.colour import display, to_bytes
+from synthgen.dataset.passes import PASSES, Pass
 from synthgen.dataset.shot import RenderedSubject, Shot, describe
 from synthgen.planning.job import JobSpec
 from synthgen.planning.plan import ShotPlan, SubjectPlan
@@ -123,21 +124,32 @@ def _shot(subject: SubjectPlan, plan: ShotPlan, job: JobSpec) -> Shot:
         "control_normals_canonical": normals,
         "joints": np.eye(4, dtype=np.float32)[None],
     }
+    known = {
+        "albedo": np.where(mask[..., None], tone, 0).clip(0, 1) * 255,
+        "normal": outward @ rotation,
+        "depth": depth,
+        "uv": outward[..., :2] * 0.5 + 0.5 * mask[..., None],
+        "canonical": np.where(mask[..., None], point, 0),
+        "alpha": alpha,
+        "parts": np.where(mask, 1 + (outward[..., 2] > 0.5) * 12, 0),
+    }
     return Shot(
         key=plan.key,
         rgb=np.stack(images),
         hdr=np.stack(linear).astype(np.float16) if job.image.linear else None,
-        albedo=(np.where(mask[..., None], tone, 0).clip(0, 1) * 255).astype(np.uint8),
-        normal=(outward @ rotation).astype(np.float16),
-        depth=depth.astype(np.float32),
-        uv=(outward[..., :2] * 0.5 + 0.5 * mask[..., None]).astype(np.float32),
-        canonical=np.where(mask[..., None], point, 0).astype(np.float32),
-        alpha=alpha,
-        parts=np.where(mask, 1 + (outward[..., 2] > 0.5) * 12, 0).astype(np.uint8),
+        passes={p.name: (known.get(p.name, _plain(p, mask))).astype(p.dtype) for p in PASSES},
         geometry=geometry,
         meta=meta,
         cost={"beauty": 0.01, "labels": 0.002},
     )
+
+
+def _plain(each: Pass, mask: np.ndarray) -> np.ndarray:
+    """A pass that this renderer does not know: 1 on the sphere."""
+    shape = each.shape(*mask.shape)
+    background = each.background or 0.0
+    on = mask if len(shape) == 2 else np.repeat(mask[..., None], shape[2], -1)
+    return np.where(on, 1.0, background)
 
 
 def _landmarks(eye: np.ndarray) -> np.ndarray:

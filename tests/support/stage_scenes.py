@@ -191,8 +191,8 @@ def bare_head(folder: Path) -> dict[str, np.ndarray]:
         "faces": figure.subdivision.faces,
         "camera_to_world": camera.camera_to_world,
         "intrinsics": camera.intrinsics,
-        "depth": labels.depth,
-        "normal": labels.normal,
+        "depth": labels["depth"],
+        "normal": labels["normal"],
     }
 
 

@@ -9,7 +9,6 @@ they are shown, albedo in linear light.
 
 from __future__ import annotations
 
-import json
 import math
 from functools import lru_cache
 from pathlib import Path
@@ -21,7 +20,7 @@ from scipy import sparse
 from torch import Tensor
 
 from assets_procedural.motion.poses import ARKIT_NAMES
-from synthgen.dataset import open_dataset
+from synthgen.dataset import FORMAT, open_dataset
 from totalediting.errors import InputError
 from totalediting.geometry.field import Control
 from totalediting.geometry.tracking import EXPRESSIONS, FILL, FOCAL_MM, Tracking
@@ -30,8 +29,6 @@ from totalediting.light.environments import environment_lightmaps
 from totalediting.light.phong import display, undisplay
 from totalediting.pretrained import sface
 
-FORMAT = 1
-"""Of the datasets that are read, see docs/dataset.md."""
 SPLITS = ("train", "validation", "test")
 
 
@@ -45,12 +42,12 @@ class Shots:
             raise InputError(f"split {split!r}: give one of {', '.join(SPLITS)}")
         try:
             self.dataset = open_dataset(self.folder, subset=subset, split=split)
-            info = json.loads((self.folder / "dataset.json").read_bytes())
         except RuntimeError as error:  # synthgen's StorageError, which has one line for the user
             raise InputError(str(error)) from None
-        if info.get("format") != FORMAT:
+        description = self.dataset.description
+        if description.format != FORMAT:
             raise InputError(
-                f"{self.folder}: a dataset of format {info.get('format')}, this version reads "
+                f"{self.folder}: a dataset of format {description.format}, this version reads "
                 f"{FORMAT}; render it again or use the version that wrote it"
             )
         if not len(self.dataset):
@@ -60,7 +57,7 @@ class Shots:
             )
         self.keys = self.dataset.keys()
         self.subjects = [key.split("_")[0] for key in self.keys]  # "<subset>/s000123"
-        self._job = info["job"]
+        self._job = description.job
 
     def environments(self, position: int) -> int:
         """How many environments a shot was rendered under."""
@@ -82,7 +79,7 @@ class Shots:
     ) -> Tensor:
         """Exposed lightmaps (5, 3, height, 2 height) of a shot, see `environment_lightmaps`."""
         use = meta["environments"][environment]
-        path = self.folder / "environments" / f"{use['id']}.exr"
+        path = self.dataset.folder.environment(use["id"])
         exposure = float(meta["exposures"][environment])
         return environment_lightmaps(path, height, float(use["rotation"]), exposure, frame)
 

@@ -7,7 +7,7 @@ const KEYS = [
   ["Esc", "close, or leave a field"],
   ["← ↑ → ↓", "move in the grid; previous and next shot; turn the light"],
   ["Enter", "open the shot"],
-  ["1 – 8", "pass of the shot"],
+  ["1, 2, …", "pass of the shot"],
   ["Space", "play and pause a clip"],
   ["?", "show this list"],
 ];

@@ -3,26 +3,17 @@
 import { askArray, path, query } from "./api.js";
 import { h } from "./dom.js";
 
-const LIT = ["image", "linear"]; // passes that differ by environment
-const AXES = {
-  image: ["R", "G", "B", "A"],
-  linear: ["R", "G", "B", "A"],
-  albedo: ["R", "G", "B"],
-  normal: ["x", "y", "z"],
-  uv: ["u", "v"],
-  canonical: ["x", "y", "z"],
-};
-const UNITS = { depth: " m", canonical: " m" };
-
 export class PassView {
   /**
    * @param shot the server's description of a shot
-   * @param parts [{id, name, colour}], with colours [r, g, b] in bytes
+   * @param dataset its description of the dataset: `part_names` [{id, name, colour}], with colours
+   *   [r, g, b] in bytes; `passes` [{name, axes, unit, lit}], lit: differs by environment
    * @param overlay the shot's `Overlay`  @param picked called with an environment's index
    */
-  constructor(shot, parts, overlay, picked) {
+  constructor(shot, dataset, overlay, picked) {
     this.shot = shot;
-    this.parts = new Map(parts.map((part) => [part.id, part]));
+    this.parts = new Map(dataset.part_names.map((part) => [part.id, part]));
+    this.passes = new Map(dataset.passes.map((pass) => [pass.name, pass]));
     this.overlay = overlay;
     this.picked = picked;
     this.values = new Map();
@@ -156,7 +147,7 @@ export class PassView {
 
   /** The array of a pass, fetched on first use. */
   array(pass, environment) {
-    const name = LIT.includes(pass) ? `${pass} ${environment}` : pass;
+    const name = this.passes.get(pass).lit ? `${pass} ${environment}` : pass;
     if (!this.values.has(name)) {
       const { subset, key } = this.shot;
       const address = path("values", subset, key, pass) + query({ environment });
@@ -182,7 +173,8 @@ export class PassView {
     const x = Math.floor(((event.clientX - box.left) / box.width) * width);
     const y = Math.floor(((event.clientY - box.top) / box.height) * height);
     if (x < 0 || y < 0 || x >= width || y >= height) return this.idle();
-    const shown = this.pass === "image" ? LIT : [this.pass];
+    const lit = [...this.passes.values()].filter((pass) => pass.lit).map((pass) => pass.name);
+    const shown = this.pass === "image" ? lit : [this.pass];
     const passes = [...new Set([...shown, "parts", "depth", "alpha"])].filter((pass) =>
       this.shot.values.includes(pass),
     );
@@ -209,10 +201,9 @@ export class PassView {
     }
     const digits = type === "uint8" ? 0 : 4;
     const written = values.map((value) => value.toFixed(digits));
-    const axes = AXES[pass] ?? [];
-    return (
-      written.map((v, i) => (axes[i] ? `${axes[i]} ${v}` : v)).join("  ") + (UNITS[pass] ?? "")
-    );
+    const { axes, unit } = this.passes.get(pass);
+    const text = written.map((v, i) => (axes[i] ? `${axes[i]} ${v}` : v)).join("  ");
+    return unit ? `${text} ${unit}` : text;
   }
 
   close() {

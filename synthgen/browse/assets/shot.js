@@ -7,17 +7,6 @@ import { members, metadata } from "./metadata.js";
 import { Overlay } from "./overlay.js";
 import { PassView } from "./passes.js";
 
-const NAMES = {
-  image: "Image",
-  albedo: "Albedo",
-  normal: "Normal",
-  depth: "Depth",
-  uv: "UV",
-  canonical: "Canonical",
-  alpha: "Alpha",
-  parts: "Parts",
-};
-
 export class ShotView {
   /**
    * @param address the page's `Address`, showing a view `shot`
@@ -41,13 +30,14 @@ export class ShotView {
     this.head = this.header(subset, id, shot.subject);
     if (shot.broken) return this.broken(shot.broken);
     this.environment = Math.min(Number(options.environment) || 0, shot.environments.length - 1);
-    this.passes = ["image", ...shot.passes.filter((p) => p in NAMES && p !== "image")];
+    this.labels = new Map(this.dataset.passes.map((p) => [p.name, p.label]));
+    this.passes = shot.passes.filter((p) => this.labels.get(p));
     this.pass = this.passes.includes(options.pass) ? options.pass : "image";
     this.beside = options.one !== "1";
     this.overlay = new Overlay(shot);
     this.overlay.landmarks = options.landmarks === "1";
     this.overlay.mesh = options.mesh === "1";
-    this.pictures = new PassView(shot, this.dataset.part_names, this.overlay, (e) => this.pick(e));
+    this.pictures = new PassView(shot, this.dataset, this.overlay, (e) => this.pick(e));
     this.light = new LightPanel(
       shot,
       (e) => this.pictures.picture("image", e),
@@ -116,7 +106,7 @@ export class ShotView {
   tools() {
     this.switch = segments(
       "Pass",
-      this.passes.map((p) => [p, NAMES[p]]),
+      this.passes.map((p) => [p, this.labels.get(p)]),
       this.pass,
       (p) => this.show(p),
     );

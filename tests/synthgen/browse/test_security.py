@@ -24,7 +24,7 @@ from synthgen.browse.sandbox import Sandbox
 from synthgen.browse.snapshot import Library
 from synthgen.browse.thumbnails import Thumbnails
 from synthgen.dataset.codecs import encode_json
-from synthgen.dataset.ledger import StorageError
+from synthgen.dataset.folder import StorageError
 from synthgen.dataset.shards import tar_entry
 
 SECRET = b"nobody shall read this"

@@ -28,7 +28,7 @@ from synthgen.browse.thumbnails import Thumbnails
 from synthgen.dataset import Dataset, manifest, open_dataset
 from synthgen.dataset.codecs import decode_exr
 from synthgen.farm.local import render_job
-from synthgen.pictures.passes import passes
+from synthgen.pictures.drawing import pictures
 
 SHOT = "multiview/s000002_p01"
 
@@ -303,7 +303,7 @@ def test_thumbnails_are_kept_outside_the_dataset_under_a_limit(small_dataset: Pa
 def test_passes_are_drawn_as_show_draws_them(ask: TestClient, stored: Dataset):
     shot = stored[SHOT]
     described = ask.get(f"/api/shot/{SHOT}").json()
-    drawn = {"image": shot.rgb[1]} | passes(shot)
+    drawn = {"image": shot.rgb[1]} | pictures(shot)
     assert set(described["passes"]) == set(drawn)
     for name, picture in drawn.items():
         answer = ask.get(f"/pass/{SHOT}/{name}", params={"environment": 1})

@@ -17,7 +17,7 @@ import pytest
 import webdataset
 
 from synthgen.dataset import manifest, open_dataset
-from synthgen.dataset.ledger import StorageError
+from synthgen.dataset.folder import StorageError
 from synthgen.farm import rerender
 from synthgen.pictures import shot_sheet
 from synthgen.pictures.sheet import sheet

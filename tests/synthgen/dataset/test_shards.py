@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 import hashlib
 import io
+import pickle
 import tarfile
 from pathlib import Path
 
@@ -12,11 +14,13 @@ import numpy as np
 import pytest
 
 from assets_procedural.conventions.files import replacing, write_atomically
-from synthgen.dataset import shards
+from synthgen.dataset import passes, shards
 from synthgen.dataset.codecs import decode_exr
 from synthgen.dataset.gate import inspect
+from synthgen.dataset.passes import PASSES
 from synthgen.dataset.shot import Shot
 from synthgen.planning.plan import plan
+from synthgen.publish import card
 
 JOB = fake_renderer.small_job()
 
@@ -49,7 +53,7 @@ def test_member_names_are_those_of_the_contract(shot: Shot):
         *("alpha.png", "parts.png", "geometry.npz", "meta.json"),
     ]
     planes = decode_exr(shards.encode(shot)["aov.exr"])
-    assert set(planes) == set(shards.AOV_CHANNELS)
+    assert set(planes) == {channel for p in PASSES for channel in p.channels}
     assert planes["normal.X"].dtype == np.float16
     assert planes["depth.Z"].dtype == np.float32
 
@@ -174,3 +178,27 @@ def test_gate_names_the_broken_promise(shot: Shot, message: str):
     DAMAGE[message](shot)
     problems, _ = inspect(shot)
     assert any(message in problem for problem in problems), problems
+
+
+def test_the_table_of_the_docs_is_that_of_the_passes():
+    docs = Path(__file__).parents[3] / "docs" / "dataset.md"
+    assert "\n".join(passes.table()) in docs.read_text()
+    assert card.FIELDS.items() >= passes.contents().items()
+    assert list(card.FIELDS)[2:-2] == list(passes.members())
+
+
+def test_the_gate_names_passes_that_are_missing_or_unknown(shot: Shot):
+    del shot.passes["uv"]
+    shot.passes["nose"] = shot.alpha
+    problems, figures = inspect(shot)
+    assert problems == ["other passes than a dataset's (missing: uv; unknown: nose)"]
+    assert figures == {}
+
+
+def test_passes_are_attributes_that_can_be_copied_and_set(shot: Shot):
+    other = pickle.loads(pickle.dumps(copy.deepcopy(shot)))
+    np.testing.assert_array_equal(other.depth, shot.depth)
+    other.depth = shot.depth + 1
+    np.testing.assert_array_equal(other.passes["depth"], shot.depth + 1)
+    with pytest.raises(AttributeError, match="a shot has no nose"):
+        _ = shot.nose

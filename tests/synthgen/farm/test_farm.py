@@ -24,6 +24,8 @@ from rich.progress import Progress
 from assets_procedural.conventions import panorama
 from assets_procedural.conventions.files import sha256
 from synthgen.dataset import ledger, manifest
+from synthgen.dataset.folder import DatasetFolder, StorageError
+from synthgen.dataset.records import read_description
 from synthgen.farm import local, progress, run, worker
 from synthgen.farm.local import render_job
 from synthgen.planning.plan import subject_key
@@ -47,7 +49,7 @@ def fingerprint(out: Path) -> dict[str, Any]:
     for subset in JOB.subsets:
         table = manifest.read_rows(out / "manifest" / f"{subset}.parquet")
         rows[subset] = [{k: v for k, v in r.items() if not k.startswith("cost_")} for r in table]
-    counts = ledger.read_dataset_json(out)["counts"]
+    counts = read_description(out).counts
     return {"tars": tars, "rows": rows, "counts": counts}
 
 
@@ -213,19 +215,18 @@ def test_crash_hang_and_exception_cost_one_subject_each(
     )
     summary = render(out, job=job, time_limit=2.0)
     assert summary.complete
-    reasons = {f["key"]: f["reason"] for f in summary.failed}
+    reasons = {f.key: f.reason for f in summary.failed}
     assert reasons.keys() == trouble.keys()
     assert reasons["s000000"] == "crashed: worker died of SIGKILL"
     assert reasons["s000002"].startswith("hung: killed after")
     assert reasons["s000003"] == "RuntimeError: no hair left"
     assert reasons["s000004"].startswith("gate: s000004_p01: depth has")
-    assert all(f["attempts"] == ledger.ATTEMPTS for f in summary.failed)
-    log = out / next(f["log"] for f in summary.failed if f["key"] == "s000003")
+    assert all(f.attempts == ledger.ATTEMPTS for f in summary.failed)
+    log = out / next(f.log for f in summary.failed if f.key == "s000003")
     assert "no hair left" in log.read_text()
     status = ledger.status(out)
     assert (status.subsets[0].done, status.subsets[0].failed) == (1, 4)
-    info = ledger.read_dataset_json(out)
-    assert {q["key"] for q in info["quarantined"]} == trouble.keys()
+    assert {q.key for q in read_description(out).quarantined} == trouble.keys()
     assert verify(out) == []
     assert render(out, job=job).rendered == 0
 
@@ -250,7 +251,7 @@ def test_what_fails_once_is_retried(whole: Path, tmp_path: Path, monkeypatch: py
 def test_a_full_disk_stops_cleanly(whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     out = tmp_path / "out"
     monkeypatch.setenv("TROUBLE", json.dumps({"s000002": "full"}))
-    with pytest.raises(ledger.StorageError, match="the disk is full; make room"):
+    with pytest.raises(StorageError, match="the disk is full; make room"):
         render(out)
     assert ledger.status(out).failures == []
     monkeypatch.delenv("TROUBLE")
@@ -259,9 +260,9 @@ def test_a_full_disk_stops_cleanly(whole: Path, tmp_path: Path, monkeypatch: pyt
 
 
 def test_a_renderer_that_cannot_start_is_one_line(tmp_path: Path):
-    with pytest.raises(ledger.StorageError, match=r"nowhere:f: cannot start: ModuleNotFoundError"):
+    with pytest.raises(StorageError, match=r"nowhere:f: cannot start: ModuleNotFoundError"):
         render(tmp_path / "out", renderer="nowhere:f")
-    assert ledger.failures(tmp_path / "out") == []
+    assert ledger.failures(DatasetFolder(tmp_path / "out")) == []
 
 
 def test_a_broken_set_up_does_not_quarantine_everybody(
@@ -270,7 +271,7 @@ def test_a_broken_set_up_does_not_quarantine_everybody(
     trouble = {f"s{i:06d}": "raise" for i in range(8)}
     monkeypatch.setenv("TROUBLE", json.dumps(trouble))
     monkeypatch.setattr(run, "HOPELESS", 4)
-    with pytest.raises(ledger.StorageError, match="attempts all failed, the last with: Runtime"):
+    with pytest.raises(StorageError, match="attempts all failed, the last with: Runtime"):
         render(tmp_path / "out")
 
 
@@ -283,10 +284,10 @@ def test_a_set_up_that_breaks_later_stops_and_quarantines_nobody(
     ]
     monkeypatch.setenv("TROUBLE", json.dumps(dict.fromkeys(others, "raise")))
     monkeypatch.setattr(run, "HOPELESS", 4)
-    with pytest.raises(ledger.StorageError, match="the last 4 attempts all failed"):
+    with pytest.raises(StorageError, match="the last 4 attempts all failed"):
         render(out, job=ONE, workers=1)
     assert ledger.status(out).subsets[0].done == 1, first
-    assert [f["attempts"] for f in ledger.failures(out)] == [1, 1, 1, 1]
+    assert [f.attempts for f in ledger.failures(DatasetFolder(out))] == [1, 1, 1, 1]
 
 
 def test_a_subject_may_take_as_long_as_its_frames_need(
@@ -344,7 +345,7 @@ def test_what_is_done_has_no_failure(tmp_path: Path):
     job = ONE.model_copy(update={"shard_subjects": 5})
     render(out, job=job, limit=1)
     key = next(out.glob("work/multiview/*.json")).stem
-    ledger.record_failure(out, "multiview", key, "crashed", "log")
+    ledger.record_failure(DatasetFolder(out), "multiview", key, "crashed", "log")
     the_plan = publish.stored_plan(out)
     a_run = run.Run(the_plan, worker.Orders(job, out, "", "cpu", 1, out), (1, 1), 1, None, 20)
     shard = next(s for s in a_run.shards if int(key[1:]) in s.subjects)
@@ -353,8 +354,8 @@ def test_what_is_done_has_no_failure(tmp_path: Path):
     slot: Any = SimpleNamespace(task=task, number=0, kill=lambda: None)
     a_run.slots[0] = slot
     a_run._lose(slot, "crashed")
-    assert ledger.failures(out) == []
-    ledger.record_failure(out, "multiview", key, "crashed", "log")
+    assert ledger.failures(DatasetFolder(out)) == []
+    ledger.record_failure(DatasetFolder(out), "multiview", key, "crashed", "log")
     summary = render(out, job=job)
     assert (summary.complete, summary.failed, summary.rendered) == (True, [], 4)
 
@@ -371,7 +372,7 @@ def test_killed_while_failures_are_forgiven(tmp_path: Path, monkeypatch: pytest.
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
         patch.setattr(run, "unpack_shard", interrupted)
         render(out, job=ONE, retry_failed=True)
-    assert [f["key"] for f in ledger.failures(out)] == ["s000001"]
+    assert [f.key for f in ledger.failures(DatasetFolder(out))] == ["s000001"]
     assert render(out, job=ONE, retry_failed=True).rendered == 1
     assert ledger.status(out).subsets[0].done == 5
     assert verify(out) == []
@@ -410,7 +411,7 @@ def test_workers_default_to_the_cores_allowed(tmp_path: Path, monkeypatch: pytes
 
 def test_another_job_is_refused_with_the_fields(whole: Path):
     changed = fake_renderer.small_job(resolution=64, image={"linear": False})
-    with pytest.raises(ledger.StorageError) as error:
+    with pytest.raises(StorageError) as error:
         render(whole, job=changed)
     assert "image.linear: true there, false here" in str(error.value)
     assert "resolution: 48 there, 64 here" in str(error.value)
@@ -419,14 +420,14 @@ def test_another_job_is_refused_with_the_fields(whole: Path):
 
 def test_foreign_folders_are_refused(tmp_path: Path):
     (tmp_path / "thesis.tex").touch()
-    with pytest.raises(ledger.StorageError, match=r"holds other files \(thesis.tex"):
+    with pytest.raises(StorageError, match=r"holds other files \(thesis.tex"):
         render(tmp_path)
-    with pytest.raises(ledger.StorageError, match="is a file"):
+    with pytest.raises(StorageError, match="is a file"):
         render(tmp_path / "thesis.tex")
     own = tmp_path / "own"
     (own / "work").mkdir(parents=True)
     (own / "work" / "thesis.tex").touch()
-    with pytest.raises(ledger.StorageError, match=r"holds other files \(work/thesis.tex"):
+    with pytest.raises(StorageError, match=r"holds other files \(work/thesis.tex"):
         render(own)
     assert [p.name for p in own.rglob("*")] == ["work", "thesis.tex"]
     assert sorted(p.name for p in tmp_path.iterdir()) == ["own", "thesis.tex"]
@@ -448,11 +449,11 @@ def test_another_panorama_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(Progress, "track", noted)
     render(out, job=job, limit=1)
     assert shown == ["user_a", "user_b", "user_c", "user_d"]
-    entries = ledger.read_dataset_json(out)["environments"]
+    entries = read_description(out).environments
     assert entries[1]["sha256"] == sha256(mine / "b.exr")
     stored = sha256(out / "environments" / "user_b.exr")
     panorama.write(mine / "b.exr", np.full((8, 16, 3), 0.7), {})
-    with pytest.raises(ledger.StorageError, match=r"environment user_b has another content") as e:
+    with pytest.raises(StorageError, match=r"environment user_b has another content") as e:
         render(out, job=job)
     assert "\n" not in str(e.value)
     assert sha256(out / "environments" / "user_b.exr") == stored
@@ -463,19 +464,19 @@ def test_another_panorama_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert (out / "environments" / "user_a.exr").read_bytes() == b"as it was rendered with"
     assert sha256(out / "environments" / "user_b.exr") == stored
     (mine / "d.exr").unlink()
-    with pytest.raises(ledger.StorageError, match=r"environment user_d is missing here"):
+    with pytest.raises(StorageError, match=r"environment user_d is missing here"):
         render(out, job=job)
 
 
 def test_two_runs_of_a_slice_are_refused(tmp_path: Path):
-    with ledger.slice_lock(tmp_path, (1, 2)):
-        with pytest.raises(ledger.StorageError, match="another process is rendering slice 1/2"):
+    with ledger.slice_lock(DatasetFolder(tmp_path), (1, 2)):
+        with pytest.raises(StorageError, match="another process is rendering slice 1/2"):
             render(tmp_path, shard=(1, 2))
-        with pytest.raises(ledger.StorageError, match="being rendered in 2 slice"):
+        with pytest.raises(StorageError, match="being rendered in 2 slice"):
             render(tmp_path)
-        with ledger.slice_lock(tmp_path, (2, 2)):
+        with ledger.slice_lock(DatasetFolder(tmp_path), (2, 2)):
             pass
-    with ledger.slice_lock(tmp_path, (1, 1)):
+    with ledger.slice_lock(DatasetFolder(tmp_path), (1, 1)):
         pass
 
 

@@ -15,7 +15,7 @@ import OpenEXR
 import pytest
 from PIL import Image
 
-from synthgen.dataset import ledger
+from synthgen.dataset.folder import DatasetFolder
 from synthgen.errors import JobError
 from synthgen.farm import preflight
 from synthgen.planning.job import JobSpec, load_job
@@ -315,7 +315,8 @@ def test_disk_for_a_slice_counts_what_is_missing_of_it(tmp_path: Path) -> None:
     assert sum(halves) == pytest.approx(whole, abs=0.2)
     # A subject of the first slice is done: the second slice needs no less for it.
     shards = preflight.make_plan(job, "")[0].shards("multiview")
-    done = ledger.work_file(out, "multiview", subject_key(shards[0].subjects[0]), ".json")
+    key = subject_key(shards[0].subjects[0])
+    done = DatasetFolder(out).subject("multiview", key).waiting_rows
     done.parent.mkdir(parents=True)
     done.touch()
     assert needed(out, job, slice_=(1, 2)) == pytest.approx(halves[0] - whole / 8, abs=0.2)

@@ -12,7 +12,9 @@ import pytest
 import yaml
 
 from assets_procedural.conventions.files import sha256
-from synthgen.dataset import ledger, open_dataset
+from synthgen.dataset import open_dataset
+from synthgen.dataset.folder import StorageError
+from synthgen.dataset.records import Counts, read_description
 from synthgen.dataset.shards import read_sample
 from synthgen.farm.local import render_job
 from synthgen.publish import card, publish
@@ -26,17 +28,17 @@ def out(small_dataset: Path) -> Path:
 
 
 def test_dataset_json_tells_everything(out: Path):
-    info = ledger.read_dataset_json(out)
-    assert info["format"] == 1
-    assert info["job"]["seed"] == JOB.seed
-    assert info["code"]["version"]
-    assert info["renderer"] == fake_renderer.RENDERER
-    assert [e["id"] for e in info["environments"]] == ["city", "night", "studio"]
-    assert all(e["licence"] for e in info["environments"] + info["licences"])
-    assert card.totals(info) == {"subjects": 8, "shots": 16, "frames": 38}
-    for shard in info["shards"]:
-        assert sha256(out / shard["tar"]) == shard["sha256"]
-    for name, digest in info["files"].items():
+    info = read_description(out)
+    assert info.format == 1
+    assert info.job["seed"] == JOB.seed
+    assert info.code["version"]
+    assert info.renderer == fake_renderer.RENDERER
+    assert [e["id"] for e in info.environments] == ["city", "night", "studio"]
+    assert all(e["licence"] for e in info.environments + info.licences)
+    assert card.totals(info) == Counts(subjects=8, shots=16, frames=38)
+    for shard in info.shards:
+        assert sha256(out / shard.tar) == shard.sha256
+    for name, digest in info.files.items():
         assert sha256(out / name) == digest
 
 
@@ -104,7 +106,7 @@ def test_another_version_may_not_go_on(tmp_path: Path, monkeypatch: pytest.Monke
     assert not render_job(JOB, out, workers=1, renderer=fake_renderer.RENDERER, limit=1).complete
     assert render_job(JOB, out, workers=1, renderer=fake_renderer.RENDERER, limit=1).rendered == 1
     monkeypatch.setattr(publish, "code_version", lambda: code | {"commit": "def"})
-    with pytest.raises(ledger.StorageError) as error:
+    with pytest.raises(StorageError) as error:
         render_job(JOB, out, workers=1, renderer=fake_renderer.RENDERER)
     assert "begun by synthgen 1.0 (abc-dirty), this is 1.0 (def)" in str(error.value)
     assert "\n" not in str(error.value)
@@ -113,12 +115,12 @@ def test_another_version_may_not_go_on(tmp_path: Path, monkeypatch: pytest.Monke
 def test_another_version_may_open_but_not_add_to_what_is_complete(out: Path, tmp_path: Path):
     copy = tmp_path / "copy"
     shutil.copytree(out, copy)
-    info = ledger.read_dataset_json(copy)
+    info = json.loads((copy / "dataset.json").read_text())
     info["code"] = {"package": "synthgen", "version": "0.0"}
     (copy / "dataset.json").write_text(json.dumps(info))
     assert render_job(JOB, copy, renderer=fake_renderer.RENDERER).rendered == 0
     next((copy / "data").rglob("*.tar")).unlink()
-    with pytest.raises(ledger.StorageError, match=r"begun by synthgen 0.0, this is "):
+    with pytest.raises(StorageError, match=r"begun by synthgen 0.0, this is "):
         render_job(JOB, copy, renderer=fake_renderer.RENDERER)
 
 

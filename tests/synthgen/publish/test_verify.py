@@ -17,7 +17,8 @@ import pytest
 
 from assets_procedural.conventions.files import sha256
 from assets_procedural.motion.poses import ARKIT_NAMES
-from synthgen.dataset import ledger, manifest, open_dataset
+from synthgen.dataset import manifest, open_dataset
+from synthgen.dataset.folder import DatasetFolder, StorageError
 from synthgen.dataset.shards import decode, encode, tar_entry
 from synthgen.farm.rerender import Difference, compare
 from synthgen.publish.verify import verify
@@ -38,6 +39,10 @@ def edit_json(path: Path, change: Callable[[dict], object]) -> None:
     path.write_text(json.dumps(data))
 
 
+def record_of(out: Path) -> Path:
+    return DatasetFolder(out).shard("multiview/train-000000.tar").record
+
+
 def rewrite(out: Path, change: Callable[[dict[str, bytes]], dict[str, bytes]], seal: bool) -> None:
     """Change the first sample of a shard; with `seal`, forge all checksums to agree with it."""
     path = out / TAR
@@ -50,7 +55,7 @@ def rewrite(out: Path, change: Callable[[dict[str, bytes]], dict[str, bytes]], s
     data = b"".join(entries) + bytes(1024)
     path.write_bytes(data + bytes(-len(data) % tarfile.RECORDSIZE))
     if seal:
-        record = ledger.record_file(out, "multiview", "train-000000")
+        record = record_of(out)
         seals = {"bytes": path.stat().st_size, "sha256": sha256(path)}
         edit_json(record, lambda r: r.update(seals))
 
@@ -129,8 +134,7 @@ def without_meta(*names: str) -> Callable[[Path], object]:
 
 
 def record_without(name: str) -> Callable[[Path], object]:
-    path = ("multiview", "train-000000")
-    return lambda out: edit_json(ledger.record_file(out, *path), lambda record: record.pop(name))
+    return lambda out: edit_json(record_of(out), lambda record: record.pop(name))
 
 
 def give_up(record: dict) -> None:
@@ -144,7 +148,7 @@ DAMAGE: dict[str, tuple[Callable[[Path], object], str]] = {
     "flipped byte in the padding": (lambda o: flip(o / TAR, -1), "changed since it was written"),
     "missing shard": (lambda o: (o / TAR).unlink(), f"{TAR}: missing"),
     "missing shard and record": (
-        lambda o: ((o / TAR).unlink(), ledger.record_file(o, "multiview", "train-000000").unlink()),
+        lambda o: ((o / TAR).unlink(), record_of(o).unlink()),
         f"{TAR}: missing",
     ),
     "NaN under forged checksums": (
@@ -241,16 +245,17 @@ DAMAGE: dict[str, tuple[Callable[[Path], object], str]] = {
     "no exposures": (without_meta("exposures"), "meta has 0 exposures for 2"),
     "record without subjects": (
         record_without("subjects"),
-        f"{TAR}: cannot be checked (KeyError: 'subjects')",
+        f"{TAR}: cannot be checked (StorageError: ledger/multiview/train-000000.json: unusable: "
+        "subjects: Field required)",
     ),
     "record without checksum": (record_without("sha256"), f"{TAR}: cannot be checked"),
     "record that is a list": (
-        lambda o: ledger.record_file(o, "multiview", "train-000000").write_text("[]"),
+        lambda o: record_of(o).write_text("[]"),
         f"{TAR}: cannot be checked",
     ),
     "dataset.json without a version": (
         lambda o: edit_json(o / "dataset.json", lambda d: (d.pop("code"), d.update(counts=[]))),
-        "dataset.json: cannot be checked",
+        "dataset.json: unusable: counts: Input should be a valid dictionary",
     ),
     "dataset.json with other panoramas": (
         lambda o: edit_json(o / "dataset.json", lambda d: d.update(environments=["city"])),
@@ -281,7 +286,7 @@ DAMAGE: dict[str, tuple[Callable[[Path], object], str]] = {
         "data/notes.txt: a file that the job does not have",
     ),
     "failed subject that is not quarantined": (
-        lambda o: edit_json(ledger.record_file(o, "multiview", "train-000000"), give_up),
+        lambda o: edit_json(record_of(o), give_up),
         "dataset.json: quarantined lacks multiview/s00000",
     ),
     "quarantined subject that is there": (
@@ -345,7 +350,7 @@ def test_rerender_compares_every_field(small_dataset: Path):
 
 
 def test_no_dataset_is_one_line(tmp_path: Path):
-    with pytest.raises(ledger.StorageError, match="no dataset here"):
+    with pytest.raises(StorageError, match="no dataset here"):
         verify(tmp_path)
     (tmp_path / "dataset.json").write_text('{"format": 99}')
     assert verify(tmp_path) == ["dataset.json: format 99, not 1"]

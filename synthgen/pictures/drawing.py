@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from PIL import ImageDraw
 
 from assets_procedural.conventions.colour import to_bytes
+from synthgen.dataset.passes import PASSES, Pass, Style
 from synthgen.dataset.shot import Shot
 from synthgen.pictures.page import fit
 
@@ -22,16 +24,17 @@ PALETTE[:19] = [
 PALETTE[255] = 255
 
 
-def passes(shot: Shot) -> dict[str, np.ndarray]:
-    """Every pass of a shot as an (H, W, 3) uint8 picture, label -> picture."""
-    return {name: draw(shot) for name, draw in PASSES.items()}
+def pictures(shot: Shot) -> dict[str, np.ndarray]:
+    """Every pass of a shot and its landmarks as (H, W, 3) uint8, label -> picture."""
+    return {name: draw(shot) for name, draw in PICTURES.items()}
 
 
-def _over_surface(shot: Shot, picture: np.ndarray) -> np.ndarray:
-    return np.where((shot.parts > 0)[..., None], picture, np.uint8(24)).astype(np.uint8)
+def _direction(vectors: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    """-1 to 1 in each axis as 0 to 255."""
+    return to_bytes(vectors.astype(np.float32) * 0.5 + 0.5)
 
 
-def _depth(depth: np.ndarray) -> np.ndarray:
+def _distance(depth: np.ndarray, mask: np.ndarray) -> np.ndarray:
     """Near is bright; the range is the shot's own."""
     seen = depth[depth > 0]
     if not seen.size:
@@ -41,14 +44,15 @@ def _depth(depth: np.ndarray) -> np.ndarray:
     return np.repeat(to_bytes(0.12 + 0.88 * shade)[..., None], 3, -1)
 
 
-def _uv(uv: np.ndarray) -> np.ndarray:
+def _texture(uv: np.ndarray, mask: np.ndarray) -> np.ndarray:
     """u in red, v in green, and a checker of 1/40 to show stretch."""
     checker = (np.floor(uv * 40).sum(-1) % 2)[..., None]
     colour = np.concatenate([uv, np.full_like(uv[..., :1], 0.35)], -1)
     return to_bytes(np.clip(colour, 0, 1) * (0.8 + 0.2 * checker))
 
 
-def _canonical(points: np.ndarray, mask: np.ndarray) -> np.ndarray:
+def _position(points: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    """Coordinates as colours; the range is the shot's own."""
     if not mask.any():
         return np.zeros(points.shape, np.uint8)
     low, high = np.percentile(points[mask], (1, 99), axis=0)
@@ -69,16 +73,31 @@ def _landmarks(shot: Shot) -> np.ndarray:
     return np.asarray(image)
 
 
-PASSES: dict[str, Callable[[Shot], np.ndarray]] = {
-    "albedo": lambda shot: shot.albedo,
-    "normal": lambda shot: _over_surface(
-        shot, to_bytes(shot.normal.astype(np.float32) * 0.5 + 0.5)
-    ),
-    "depth": lambda shot: _over_surface(shot, _depth(shot.depth)),
-    "uv": lambda shot: _over_surface(shot, _uv(shot.uv)),
-    "canonical": lambda shot: _over_surface(shot, _canonical(shot.canonical, shot.parts > 0)),
-    "parts": lambda shot: PALETTE[shot.parts],
-    "alpha": lambda shot: np.repeat(shot.alpha[..., None], 3, -1),
+# (array, mask) -> (H, W, 3) uint8, and whether the picture's background is blotted out.
+_STYLES: dict[Style, tuple[Callable[[np.ndarray, np.ndarray], np.ndarray], bool]] = {
+    "colour": (lambda array, mask: array, False),
+    "direction": (_direction, True),
+    "distance": (_distance, True),
+    "texture": (_texture, True),
+    "position": (_position, True),
+    "ids": (lambda array, mask: PALETTE[array], False),
+    "matte": (lambda array, mask: np.repeat(array[..., None], 3, -1), False),
+}
+
+
+def _draw(each: Pass, shot: Shot) -> np.ndarray:
+    mask = shot.parts > 0
+    style, surface_only = _STYLES[each.drawn]
+    picture = style(shot.passes[each.name], mask)
+    if not surface_only:
+        return picture
+    return np.where(mask[..., None], picture, np.uint8(24)).astype(np.uint8)
+
+
+# Mattes come last: they are the least to look at.
+_SHOWN = sorted(PASSES, key=lambda each: each.drawn == "matte")
+PICTURES: dict[str, Callable[[Shot], np.ndarray]] = {
+    **{each.name: partial(_draw, each) for each in _SHOWN},
     "landmarks": _landmarks,
 }
 """How each pass of a shot is drawn, by label."""

@@ -1,0 +1,175 @@
+"""What a dataset writes down about itself as JSON: dataset.json, and the records of the ledger."""
+
+from __future__ import annotations
+
+import json
+from typing import Annotated, Any, Self
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from synthgen.dataset.folder import DatasetFolder, Place, StorageError
+
+FORMAT = 1
+"""Of the datasets that are written and read, see docs/dataset.md."""
+
+
+class Record(BaseModel):
+    """Base of all records: they never change, and keys of other versions are passed through."""
+
+    model_config = ConfigDict(frozen=True, strict=True, extra="allow")
+
+    @classmethod
+    def parse(cls, content: bytes, where: object) -> Self:
+        """Read JSON; `StorageError` with one line, `where` first, if it is no such record.
+
+        Texts may hold lone surrogates, which pydantic's own JSON reader refuses.
+        """
+        try:
+            return cls.model_validate(json.loads(content))
+        except ValidationError as error:
+            first = error.errors()[0]
+            field = ".".join(map(str, first["loc"]))
+            reason = ": ".join(part for part in (field, first["msg"]) if part)
+            raise StorageError(f"{where}: unusable: {' '.join(reason.split())[:200]}") from None
+        except (ValueError, RecursionError) as error:
+            raise StorageError(f"{where}: not valid JSON ({error})") from None
+
+    def to_json(self) -> dict[str, Any]:
+        """What is stored: the fields that were given, in the order of the class."""
+        return self.model_dump(exclude_unset=True)
+
+
+# ---------------------------------------------------------------- dataset.json
+
+
+class PlannedSubset(Record):
+    """What the job asks of a subset."""
+
+    kind: str
+    subjects: int
+    shots_per_subject: int
+    frames_per_subject: int
+
+    @property
+    def environments(self) -> int:
+        """Environments of each subject."""
+        return self.frames_per_subject // self.shots_per_subject
+
+
+class Counts(Record):
+    """What a split of a subset holds."""
+
+    subjects: int = 0
+    shots: int = 0
+    frames: int = 0
+
+
+class ShardSeal(Record):
+    """A shard as dataset.json lists it: path in the folder, size, checksum."""
+
+    tar: str
+    bytes: int
+    sha256: str
+
+
+class Quarantined(Record):
+    """A subject that was given up."""
+
+    subset: str
+    key: str
+    reason: str = ""
+
+
+class Description(Record):
+    """dataset.json: what the dataset is and where it comes from.
+
+    `job` is the validated job and `environments` the provenance of each panorama, as they were
+    given. From `counts` on, only a complete dataset has the fields; `counts` is by subset and
+    split, `files` holds the sha256 of manifests and panoramas by path.
+    """
+
+    format: int | None = None
+    name: str = ""
+    complete: bool = False
+    job: dict[str, Any] = {}
+    renderer: str = ""
+    environments: list[dict[str, Any]] = []
+    plan: dict[str, PlannedSubset]
+    code: dict[str, str] = {}
+    created: str = ""
+    licences: list[dict[str, str]] = []
+    counts: dict[str, dict[str, Counts]] = {}
+    quarantined: list[Quarantined] = []
+    shards: list[ShardSeal] = []
+    files: dict[str, str] = {}
+
+
+def read_description(out: Place) -> Description:
+    """dataset.json; `StorageError` with one line if the folder is no dataset or it is damaged."""
+    folder = DatasetFolder(out)
+    return Description.parse(_description_bytes(folder), folder.description)
+
+
+def description_json(folder: DatasetFolder) -> Any:
+    """dataset.json as it is, whatever it holds; `StorageError` if there is none, or no JSON."""
+    try:
+        return json.loads(_description_bytes(folder))
+    except (ValueError, RecursionError) as error:
+        raise StorageError(f"{folder.description}: not valid JSON ({error})") from None
+
+
+def _description_bytes(folder: DatasetFolder) -> bytes:
+    try:
+        return folder.description.read_bytes()
+    except FileNotFoundError:
+        raise StorageError(f"{folder}: no dataset here (no dataset.json)") from None
+    except NotADirectoryError:
+        raise StorageError(f"{folder}: is a file, not a dataset folder") from None
+
+
+# ---------------------------------------------------------------- ledger
+
+
+class ShardRecord(Record):
+    """A committed shard: its subjects, those that failed, what it holds, its checksums.
+
+    A shard none of whose subjects could be rendered has a record, but no files and no checksums.
+    """
+
+    tar: str
+    subjects: list[str]
+    failed: list[str] = []
+    shots: int
+    frames: int
+    bytes: int
+    sha256: str = ""
+    part_sha256: str = ""
+
+    @model_validator(mode="after")
+    def _sealed(self) -> Self:
+        if self.subjects and not (self.sha256 and self.part_sha256):
+            raise ValueError("no checksums")
+        return self
+
+
+class Failure(Record):
+    """A subject that failed: how often it was tried, why it failed last, the log in the folder."""
+
+    subset: str
+    key: str
+    attempts: int
+    reason: str
+    log: str
+
+
+class RunNote(Record):
+    """What a run tells `synthgen status`: times are seconds since the epoch.
+
+    `running` lists (subset, key, start) of the subjects that are being rendered.
+    """
+
+    pid: int
+    started: float
+    workers: int
+    frames: int
+    running: list[Annotated[tuple[str, str, float], Field(strict=False)]]
