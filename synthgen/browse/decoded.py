@@ -123,7 +123,9 @@ def _bounded(name: str, data: bytes) -> bytes:
             left, top, right, bottom = struct.unpack_from("<4i", data, at + len(mark))
             width, height = right - left + 1, bottom - top + 1
     if max(width, height) > _LARGEST:
-        raise Broken(f"{name} says it is {width} x {height} pixels; at most {_LARGEST} are decoded")
+        raise Broken(
+            f"{name} claims {width} x {height} pixels; at most {_LARGEST} a side are decoded"
+        )
     return data
 
 

@@ -37,7 +37,7 @@ class Sample:
             raise Broken(f"failed: {row.get('reason') or 'no reason is recorded'}")
         shard, offset, size = row.get("shard"), row.get("offset"), row.get("size")
         if not (isinstance(shard, str) and isinstance(offset, int) and isinstance(size, int)):
-            raise Broken("the manifest does not say where this shot lies")
+            raise Broken("the manifest does not say where this shot is stored")
         try:
             self.path = folder.file(shard)
         except Refused as refusal:
@@ -88,7 +88,7 @@ def _entries(path: Path, offset: int, size: int, key: str) -> list[Member]:
             owner, _, name = info.name.partition(".")
             after = offset + BLOCK + info.size + (-info.size % BLOCK)
             if owner != key or not info.isreg() or not 0 <= info.size <= _LARGEST or after > end:
-                raise Broken(f"shard {path.name}: byte {offset} is no member of {key}")
+                raise Broken(f"shard {path.name}: byte {offset} is not a member of {key}")
             found.append(Member(name, offset + BLOCK, info.size))
             if len(found) > _MEMBERS:
                 raise Broken(f"shard {path.name}: more than {_MEMBERS} members at byte {offset}")
@@ -109,7 +109,7 @@ class Health:
             return f"failed: {row.get('reason') or 'no reason is recorded'}"
         shard, offset, size = row.get("shard"), row.get("offset"), row.get("size")
         if not (isinstance(shard, str) and isinstance(offset, int) and isinstance(size, int)):
-            return "the manifest does not say where this shot lies"
+            return "the manifest does not say where this shot is stored"
         if shard not in self._sizes:
             try:
                 self._sizes[shard] = self.folder.file(shard).stat().st_size

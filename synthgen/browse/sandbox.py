@@ -88,7 +88,7 @@ class Sandbox:
             except (duckdb.Error, RuntimeError) as error:
                 if late.is_set():
                     reason = f"the selection took more than {SECONDS:g} s and was stopped"
-                    raise Refused(f"{reason}; ask for less", 400) from None
+                    raise Refused(f"{reason}; narrow it down", 400) from None
                 raise Refused(f"where: {_one_line(error)}", 400) from None
             finally:
                 timer.cancel()
@@ -99,9 +99,9 @@ class Sandbox:
         It may hold subqueries, of the manifest alone, and no functions that make tables.
         """
         if len(condition) > _LONGEST:
-            raise Refused(f"where: is longer than {_LONGEST} characters; shorten it", 400)
+            raise Refused(f"where: longer than {_LONGEST} characters; shorten it", 400)
         if "\0" in condition:
-            raise Refused("where: holds a zero byte; remove it", 400)
+            raise Refused("where: contains a null byte; remove it", 400)
         # Without brackets, else `a) OR (b` would be one expression and two in our sentence.
         self._parsed(f"SELECT 1 FROM manifest WHERE {condition}\n")
         found = self._parsed(f"SELECT 1 FROM manifest WHERE ({condition}\n)")
@@ -110,7 +110,7 @@ class Sandbox:
         plain["statements"][0]["node"].pop("where_clause")
         if found != plain or expression is None:
             raise Refused(
-                "where: must be one condition, such as person_age_years > 60; no statement, "
+                "where: must be a single condition, such as person_age_years > 60, without "
                 "ORDER BY, GROUP BY, LIMIT or UNION",
                 400,
             )
@@ -121,7 +121,7 @@ class Sandbox:
         if tree.get("error"):
             raise Refused(f"where: {_one_line(tree.get('error_message', 'not SQL'))}", 400)
         if len(tree["statements"]) != 1:
-            raise Refused("where: must be one condition, not several statements", 400)
+            raise Refused("where: must be a single condition, not several statements", 400)
         return tree
 
 
@@ -137,11 +137,15 @@ def _walk(node: Any) -> None:
     kind, function = node.get("type"), str(node.get("function_name", "")).lower()
     if kind == "TABLE_FUNCTION":
         name = node.get("function", {}).get("function_name", "?")
-        raise Refused(f"where: the function {name} makes a table; only the manifest is here", 400)
+        raise Refused(
+            f"where: the function {name} returns a table; only manifest can be queried", 400
+        )
     if kind == "BASE_TABLE" and (
         node.get("table_name") != "manifest" or node.get("schema_name") or node.get("catalog_name")
     ):
-        raise Refused(f"where: no table {node.get('table_name')}; only manifest is here", 400)
+        raise Refused(
+            f"where: no table {node.get('table_name')}; only manifest can be queried", 400
+        )
     if function in _FORBIDDEN:
         raise Refused(f"where: the function {function} is not available here", 400)
     for value in node.values():

@@ -83,7 +83,7 @@ class Guard:
         if site not in ("same-origin", "none") and not (
             request.method == "GET" and request.headers.get("sec-fetch-mode") == "navigate"
         ):
-            return _error("requests of other sites are refused", 403)
+            return _error("requests from other sites are refused", 403)
         if self.token is None:
             return None
         given = request.query_params.get("token")
@@ -91,7 +91,7 @@ class Guard:
             return self._with_cookie(request) if request.url.path == "/" else None
         if _equal(request.cookies.get(self.cookie, ""), self.token):
             return None
-        return _error("this server asks for its token: open the address that it printed", 401)
+        return _error("this server requires a token: open the address that it printed", 401)
 
     def _with_cookie(self, request: Request) -> Response:
         rest = [(k, v) for k, v in parse_qsl(request.url.query, True) if k != "token"]

@@ -1,7 +1,7 @@
 """A selection of rows: parsed from the query string, turned into SQL.
 
-    facets={"subset": ["multiview"], "environments": ["city"]}  one of these; null is a value
-    ranges={"camera_yaw": [-0.5, 0.5], "cost_beauty": [10, null]}  inclusive; null is open
+    facets={"subset": ["multiview"], "environments": ["city"]}  any of the values; null is a value
+    ranges={"camera_yaw": [-0.5, 0.5], "cost_beauty": [10, null]}  ends included; null is open
     where=person_age_years > 60 AND person_hair_style = 'bob'
     sort=person_age_years  descending=1
 
@@ -72,7 +72,7 @@ def parse(query: Mapping[str, str], snapshot: Snapshot) -> Selection:
         for name, values in _object(query, "facets").items()
     }
     if sum(map(len, facets.values())) > _MOST:
-        raise Refused(f"facets: more than {_MOST} values; use where", 400)
+        raise Refused(f"facets: more than {_MOST} values; use where instead", 400)
     ranges = {
         name: _ends(name, ends, _column(snapshot, name, "ranges"))
         for name, ends in _object(query, "ranges").items()
@@ -152,7 +152,7 @@ def _values(name: str, values: Any, column: Column) -> list[Any]:
 
 def _ends(name: str, ends: Any, column: Column) -> tuple[float | None, float | None]:
     if column.type != "number" or column.listed:
-        raise Refused(f"ranges: {name} is no column of numbers; use facets or where", 400)
+        raise Refused(f"ranges: {name} is not a numeric column; use facets or where", 400)
     right = isinstance(ends, list) and len(ends) == 2
     if not right or not all(
         e is None or (isinstance(e, int | float) and not isinstance(e, bool) and math.isfinite(e))

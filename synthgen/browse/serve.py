@@ -40,7 +40,7 @@ def serve(
     shown = f"[{host}]" if ":" in host else host
     address = f"http://{shown}:{port}/" + (f"?token={token}" if token else "")
     app = create(library, Thumbnails(limit=cache_megabytes << 20), token, port)
-    say(f"{out}: {address} (Ctrl+C ends it)")
+    say(f"{out}: {address} (Ctrl+C to stop)")
     if token:
         say("anyone with this address, token included, can see the dataset")
     ready(address)

@@ -64,13 +64,13 @@ def mesh(folder: Folder, snapshot: Snapshot, subset: str, subject: str) -> bytes
     """The bytes of a subject's canonical mesh, binary glTF. Raises `Refused` without one."""
     name = rows_of(snapshot, subset, subject)[0].get("mesh")
     if not isinstance(name, str):
-        raise Refused(f"the manifest names no mesh of {subset}/{subject}")
+        raise Refused(f"the manifest names no mesh for {subset}/{subject}")
     path = folder.file(name)
     if folder.layout.subjects not in path.parents or path.stat().st_size > _LARGEST:
-        raise Refused(f"{name[:80]} is no mesh of a subject")
+        raise Refused(f"{name[:80]} is not a subject's mesh")
     content = path.read_bytes()
     if not content.startswith(b"glTF"):
-        raise Refused(f"{name[:80]} is no binary glTF", 422)
+        raise Refused(f"{name[:80]} is not binary glTF", 422)
     return content
 
 

@@ -3,7 +3,7 @@
 import { ask, path, query } from "./api.js";
 import { h } from "./dom.js";
 
-/** Height of a caption and room between cells, in pixels. */
+/** Height of a caption and gap between cells, in pixels. */
 export const CAPTION = 22;
 export const GAP = 6;
 
@@ -30,11 +30,11 @@ export class Cell {
   }
 
   clicked(event) {
-    // With a modifier the browser opens a tab of its own.
+    // With a modifier the browser opens a new tab.
     if (event.ctrlKey || event.metaKey || event.shiftKey || !this.row) return;
     event.preventDefault();
     this.grid.active = this.index;
-    this.grid.calls.open(this.row, this.index);
+    this.grid.callbacks.open(this.row, this.index);
   }
 
   place({ columns, cell, pitch, edge, total }, shift) {
@@ -50,9 +50,9 @@ export class Cell {
   show(row) {
     if (!row || row === this.row) return;
     this.row = row;
-    const { calls } = this.grid;
-    this.element.setAttribute("href", calls.href(row, this.index));
-    const { label, text, value } = calls.caption(row);
+    const { callbacks } = this.grid;
+    this.element.setAttribute("href", callbacks.href(row, this.index));
+    const { label, text, value } = callbacks.caption(row);
     this.element.setAttribute("aria-label", label);
     this.text.textContent = text;
     this.value.textContent = value;
@@ -68,9 +68,9 @@ export class Cell {
     const address =
       path("thumbnail", row.subset, row.key) +
       query({
-        environment: grid.calls.environment(row),
+        environment: grid.callbacks.environment(row),
         size: Math.min(480, pixels),
-        revision: grid.calls.revision(),
+        revision: grid.callbacks.revision(),
       });
     try {
       const response = await ask(address, { signal: this.request.signal });
@@ -91,14 +91,14 @@ export class Cell {
     this.element.classList.add("broken");
     this.element.setAttribute(
       "aria-label",
-      `${this.grid.calls.caption(this.row).label}, broken: ${reason}`,
+      `${this.grid.callbacks.caption(this.row).label}, broken: ${reason}`,
     );
     this.image.replaceWith(
       h("span", { class: "reason" }, h("b", { text: "Broken" }), h("span", { text: reason })),
     );
   }
 
-  /** Takes the cell off the page and stops what it waits for. */
+  /** Removes the cell from the page and cancels its request. */
   drop() {
     this.dropped = true;
     this.request?.abort();

@@ -1,18 +1,18 @@
-// Elements without markup: text from a dataset only ever becomes a text node.
+// Elements built without markup: text from a dataset only ever becomes a text node.
 
 /**
  * An element with attributes, listeners and children.
  *
  * @param {string} tag
- * @param {object} options attributes by name; `class` and `text` as said; functions under
- *   `onclick` and the like become listeners; true sets an empty attribute, false and null none
- * @param {...(Node|string|null)} children strings become text nodes, null is left out
+ * @param {object} options attributes by name, with `text` for the content; functions under
+ *   `onclick` and the like become listeners; true sets an empty attribute, false and null set none
+ * @param {...(Node|string|null)} children strings become text nodes, null is skipped
  */
 export function h(tag, options = {}, ...children) {
   return fill(document.createElement(tag), options, children);
 }
 
-/** As `h`, of an SVG element. */
+/** Like `h`, for an SVG element. */
 export function svg(tag, options = {}, ...children) {
   return fill(document.createElementNS("http://www.w3.org/2000/svg", tag), options, children);
 }
@@ -28,12 +28,12 @@ function fill(element, options, children) {
   return element;
 }
 
-/** A button; `label` is read aloud where the text alone says too little. */
+/** A button; `label` is its accessible name where the text alone is not enough. */
 export function button(text, onclick, { label, ...more } = {}) {
   return h("button", { type: "button", "aria-label": label, title: label, onclick, text, ...more });
 }
 
-/** One choice of several as a row of buttons; returns the element, with `select(value)` on it. */
+/** A choice of one among several, as a row of buttons: an element with a method `select(value)`. */
 export function segments(label, choices, current, onchange) {
   const group = h("div", { class: "segments", role: "radiogroup", "aria-label": label });
   const buttons = choices.map(([value, text]) =>
@@ -62,7 +62,7 @@ export function segments(label, choices, current, onchange) {
   return group;
 }
 
-/** A labelled slider with its value written beside it; returns {element, input, set}. */
+/** A labelled slider with its value beside it; returns {element, input, set}. */
 export function slider(label, { min, max, step, value, write, oninput }) {
   const output = h("output", { class: "number" });
   const input = h("input", { type: "range", min, max, step, "aria-label": label });
@@ -83,7 +83,7 @@ export function slider(label, { min, max, step, value, write, oninput }) {
   return { element, input, set };
 }
 
-/** A number for people: grouped thousands, four significant figures. */
+/** A number for display: grouped thousands, four significant figures. */
 export function number(value) {
   if (typeof value !== "number" || !Number.isFinite(value)) return String(value);
   if (Number.isInteger(value)) return value.toLocaleString("en");
@@ -92,7 +92,7 @@ export function number(value) {
   return String(Number(value.toPrecision(4)));
 }
 
-/** A size in bytes for people. */
+/** A size in bytes for display. */
 export function bytes(value) {
   for (const unit of ["B", "kB", "MB"]) {
     if (value < 1000) return `${Number(value.toPrecision(3))} ${unit}`;

@@ -1,14 +1,14 @@
-// The filters beside the grid: a group per kind of column, each column a list of values with their
-// counts or a histogram. Only columns of open groups are asked for.
+// The filters beside the grid, in groups of columns. A column is a list of values with their
+// counts, or a histogram. Only columns in open groups are requested.
 
 import { h, number } from "./dom.js";
 import { Histogram } from "./histogram.js";
 
 const SHOWN = 8;
-const OPEN = 1; // groups that are open at first
+const OPEN = 1; // groups that are open initially
 
 export class Facets {
-  /** @param address the page's `Address`  @param onopen called when other columns are wanted */
+  /** @param address the page's `Address`  @param onopen called when a group opens or closes */
   constructor(element, address, onopen) {
     this.element = element;
     this.address = address;
@@ -51,7 +51,7 @@ export class Facets {
     const part =
       column.kind === "range"
         ? new Histogram(column.label || column.name, (low, high) =>
-            this.address.bound(column.name, low, high),
+            this.address.setRange(column.name, low, high),
           )
         : new Values(column, this.address);
     const section = h("section", { class: "facet" }, heading, part.element);
@@ -59,14 +59,14 @@ export class Facets {
     return section;
   }
 
-  /** Columns of the groups that are open. */
+  /** Columns in open groups. */
   wanted() {
     return this.groups
       .filter(({ details }) => details.open)
       .flatMap(({ members }) => members.map((column) => column.name));
   }
 
-  /** Says why there are no counts; what is shown may then be that of another selection. */
+  /** Says why there are no counts; those on display may belong to an earlier selection. */
   fail(error) {
     this.problem.textContent = error.message;
     this.problem.hidden = false;
@@ -87,7 +87,7 @@ export class Facets {
     for (const [name, histogram] of Object.entries(counts.histograms)) {
       const { show, section } = this.parts.get(name);
       show(histogram, ranges[name] ?? [null, null]);
-      // A column without a single value is no filter.
+      // A column without any value cannot be a filter.
       section.hidden = !histogram.edges.length;
     }
     for (const { details, members } of this.groups) {
@@ -120,7 +120,7 @@ class Values {
 
   show(counts, chosen) {
     this.counts = counts;
-    // A value that is chosen but no longer there is kept, to be let go of.
+    // A chosen value that no longer occurs stays listed, so that it can be unchecked.
     const known = new Set(counts.map(([value]) => value));
     const missing = chosen.filter((value) => !known.has(value)).map((value) => [value, 0]);
     const ordered = [...counts, ...missing];
@@ -133,7 +133,7 @@ class Values {
       line.element.style.setProperty("--share", String(count / most));
       return line.element;
     });
-    // Moved only where the order has changed: a moved element loses the focus.
+    // Move an element only if the order has changed: moving it loses the focus.
     wanted.forEach((element, i) => {
       if (this.list.children[i] !== element)
         this.list.insertBefore(element, this.list.children[i] ?? null);
@@ -168,7 +168,7 @@ class Values {
     const chosen = (this.address.selection.facets[this.column.name] ?? []).filter(
       (v) => v !== value,
     );
-    this.address.choose(this.column.name, checked ? [...chosen, value] : chosen);
+    this.address.setFacet(this.column.name, checked ? [...chosen, value] : chosen);
   }
 
   toggle() {

@@ -1,4 +1,4 @@
-// Reading binary glTF 2.0 as the generator writes it: triangle meshes with colours, Y up.
+// Reads binary glTF 2.0 as the generator writes it: triangle meshes with colours, Y up.
 
 const MAGIC = 0x46546c67;
 const JSON_CHUNK = 0x4e4f534a;
@@ -7,7 +7,7 @@ const WIDTHS = { SCALAR: 1, VEC2: 2, VEC3: 3, VEC4: 4 };
 
 /**
  * The meshes of a .glb in world axes (metres, Z up): [{name, positions (3N), colours (4N, bytes),
- * indices}]. Throws with one line where the file is none.
+ * indices}]. Throws an error of one line if the file is something else.
  *
  * @param {ArrayBuffer} buffer
  */
@@ -18,7 +18,7 @@ export function readGlb(buffer) {
     view.getUint32(0, true) !== MAGIC ||
     view.getUint32(16, true) !== JSON_CHUNK
   ) {
-    throw new Error("The subject's mesh is no binary glTF file.");
+    throw new Error("The subject's mesh is not a binary glTF file.");
   }
   const length = view.getUint32(12, true);
   const gltf = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 20, length)));
@@ -69,14 +69,13 @@ function accessor(gltf, buffer, start, index) {
   const { componentType, count, type, bufferView, byteOffset = 0 } = gltf.accessors[index];
   const view = gltf.bufferViews[bufferView];
   const Kind = ARRAYS[componentType];
-  if (!Kind || view.byteStride)
-    throw new Error("The subject's mesh is laid out in an unknown way.");
+  if (!Kind || view.byteStride) throw new Error("The subject's mesh has an unknown layout.");
   const from = start + (view.byteOffset ?? 0) + byteOffset;
   const size = count * WIDTHS[type] * Kind.BYTES_PER_ELEMENT;
   return new Kind(buffer.slice(from, from + size));
 }
 
-/** a b, of 4×4 matrices column by column. */
+/** The product a b of 4×4 matrices in column-major order. */
 function multiply(a, b) {
   return IDENTITY.map((_, i) => {
     const [row, column] = [i % 4, 4 * Math.floor(i / 4)];

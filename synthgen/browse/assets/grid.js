@@ -1,8 +1,8 @@
-// The grid: one cell per shot, of any number of shots, with only those near the window in the page.
+// The grid: one cell per shot, for any number of shots; only those near the viewport exist.
 //
-// Browsers cannot make a page much higher than 10 million pixels. A longer list scrolls a page of
-// `TALLEST` pixels: small steps move the list by as much, jumps (the scrollbar dragged, Home, End)
-// move it in proportion, and when the scrolling rests the page is put where the list stands.
+// Browsers limit a page to about 10 million pixels in height. A longer list scrolls a page of
+// `TALLEST` pixels: small steps move the list by as many pixels, jumps (dragging the scrollbar,
+// Home, End) move it in proportion, and when scrolling stops the page is realigned with the list.
 
 import { CAPTION, Cell, GAP } from "./cell.js";
 import { h } from "./dom.js";
@@ -13,14 +13,14 @@ const KEPT_BLOCKS = 200;
 
 export class Grid {
   /**
-   * @param {HTMLElement} element what scrolls
-   * @param {object} calls `rows(offset, limit, signal)` resolves to {total, rows};
+   * @param {HTMLElement} element the element that scrolls
+   * @param {object} callbacks `rows(offset, limit, signal)` resolves to {total, rows};
    *   `open(row, index)`, `href(row, index)`, `environment(row)` the picture's number,
    *   `caption(row)` and `failed(error)`
    */
-  constructor(element, calls) {
+  constructor(element, callbacks) {
     this.element = element;
-    this.calls = calls;
+    this.callbacks = callbacks;
     this.size = 160;
     this.active = 0;
     this.canvas = h("div", { class: "cells" });
@@ -34,15 +34,15 @@ export class Grid {
       element.setAttribute(name, value);
     element.addEventListener("scroll", () => this.scrolled(), { passive: true });
     element.addEventListener("keydown", (event) => this.key(event));
-    this.forget();
+    this.clear();
     this.measure();
   }
 
-  /** Forgets all rows and starts at the top, with another selection. */
+  /** Drops all rows and starts at the top, for another selection. */
   reset() {
     this.watch ??= new ResizeObserver(() => this.resized());
     this.watch.observe(this.element);
-    this.forget();
+    this.clear();
     this.total = null;
     this.top = 0;
     this.active = 0;
@@ -52,15 +52,15 @@ export class Grid {
     this.layout();
   }
 
-  /** Asks for everything again where it stands: the dataset has grown. */
+  /** Requests everything again at the same position: the dataset has grown. */
   refresh() {
     const { top, active, total } = this;
-    this.forget();
+    this.clear();
     Object.assign(this, { top, active, total });
     this.layout();
   }
 
-  forget() {
+  clear() {
     this.generation = (this.generation ?? 0) + 1;
     for (const request of this.requests?.values() ?? []) request.abort();
     for (const cell of this.cells?.values() ?? []) cell.remove();
@@ -75,7 +75,7 @@ export class Grid {
   }
 
   resized() {
-    if (!this.element.clientHeight) return; // not on the page now
+    if (!this.element.clientHeight) return; // hidden
     const [columns, cell, pitch] = [this.columns, this.cell, this.pitch];
     this.measure();
     if (columns === this.columns && cell === this.cell) {
@@ -99,7 +99,7 @@ export class Grid {
     this.edge = edge;
   }
 
-  /** Height of the list as if the page could be that high. */
+  /** Height of the whole list in pixels, however large. */
   get height() {
     return Math.ceil((this.total ?? this.columns * 4) / this.columns) * this.pitch;
   }
@@ -112,7 +112,7 @@ export class Grid {
     this.draw();
   }
 
-  /** Puts the page where the list stands. */
+  /** Realigns the page's scroll position with the list. */
   settle() {
     const view = this.element.clientHeight;
     this.top = Math.max(0, Math.min(this.top, this.height - view));
@@ -183,7 +183,7 @@ export class Grid {
     return this.blocks.get(Math.floor(index / BLOCK))?.[index % BLOCK];
   }
 
-  /** Asks for the blocks of these cells, and no longer for others. */
+  /** Requests the blocks of these cells and cancels requests for others. */
   request(from, to) {
     const first = Math.floor(from / BLOCK);
     const last = Math.floor(Math.max(from, to - 1) / BLOCK);
@@ -202,36 +202,37 @@ export class Grid {
     const { generation } = this;
     this.requests.set(block, request);
     try {
-      const answer = await this.calls.rows(block * BLOCK, BLOCK, request.signal);
+      const answer = await this.callbacks.rows(block * BLOCK, BLOCK, request.signal);
       if (generation !== this.generation) return;
       this.blocks.set(block, answer.rows);
       if (this.blocks.size > KEPT_BLOCKS) this.blocks.delete(this.blocks.keys().next().value);
       const changed = this.total !== answer.total;
       this.total = answer.total;
       this.element.removeAttribute("aria-busy");
-      this.calls.counted(answer.total);
+      this.callbacks.counted(answer.total);
       if (changed) this.layout();
       else this.draw();
     } catch (error) {
-      if (error.name !== "AbortError" && generation === this.generation) this.calls.failed(error);
+      if (error.name !== "AbortError" && generation === this.generation)
+        this.callbacks.failed(error);
     } finally {
       if (this.requests.get(block) === request) this.requests.delete(block);
     }
   }
 
-  /** The row at a place in the selection, asked for if need be; null beyond the ends. */
+  /** The row at an index of the selection, fetched if need be; null beyond the ends. */
   async row(index) {
     if (index < 0 || (this.total !== null && index >= this.total)) return null;
     if (!this.known(index)) {
       const block = Math.floor(index / BLOCK);
-      const answer = await this.calls.rows(block * BLOCK, BLOCK);
+      const answer = await this.callbacks.rows(block * BLOCK, BLOCK);
       this.blocks.set(block, answer.rows);
       this.total = answer.total;
     }
     return this.known(index) ?? null;
   }
 
-  /** Says why there is nothing to see. */
+  /** Shows a message in place of the grid. */
   notice(title, text) {
     this.empty.replaceChildren(h("h2", { text: title }), h("p", { text }));
     this.empty.hidden = false;
@@ -255,14 +256,14 @@ export class Grid {
     if (event.ctrlKey || event.metaKey || event.altKey || !this.total) return;
     if (event.key === "Enter") {
       const row = this.known(this.active);
-      if (row) this.calls.open(row, this.active);
+      if (row) this.callbacks.open(row, this.active);
     } else if (event.key in steps) {
       this.activate(this.active + steps[event.key]);
     } else return;
     event.preventDefault();
   }
 
-  /** Makes a cell the current one and brings it into the window. */
+  /** Makes a cell the current one and scrolls it into view. */
   activate(index) {
     this.active = Math.max(0, Math.min((this.total ?? 1) - 1, index));
     const y = Math.floor(this.active / this.columns) * this.pitch;

@@ -1,4 +1,4 @@
-// A histogram that is also where a range is chosen: by dragging over it, or by two numbers.
+// A histogram in which a range is chosen by dragging, or by typing two numbers.
 
 import { h, number, svg } from "./dom.js";
 
@@ -59,7 +59,7 @@ export class Histogram {
     const step = WIDTH / Math.max(1, counts.length);
     this.bars.replaceChildren(
       ...counts.map((count, i) => {
-        // A square root lets the tails be seen.
+        // The square root keeps the tails visible.
         const height = count ? Math.max(1.5, Math.sqrt(count / most) * (HEIGHT - 2)) : 0;
         const middle = (edges[i] + edges[i + 1]) / 2;
         const inside = (low === null || middle >= low) && (high === null || middle <= high);
@@ -119,7 +119,7 @@ export class Histogram {
     const [a, b] = [this.from, this.at(event)].sort((x, y) => x - y);
     this.from = undefined;
     this.brush.setAttribute("visibility", "hidden");
-    // A click without a drag clears.
+    // A click without a drag clears the range.
     if (b - a < 0.01) return this.onrange(null, null);
     const [first, last] = this.ends();
     const bound = (share) => Number((first + share * (last - first)).toPrecision(4));

@@ -1,24 +1,24 @@
-// Keys of the whole page, and the list of them.
+// Keyboard shortcuts of the whole page, and the dialog that lists them.
 
 import { button, h } from "./dom.js";
 
 const KEYS = [
-  ["/", "write an SQL condition"],
+  ["/", "type an SQL condition"],
   ["Esc", "close, or leave a field"],
   ["← ↑ → ↓", "move in the grid; previous and next shot; turn the light"],
   ["Enter", "open the shot"],
   ["1, 2, …", "pass of the shot"],
   ["Space", "play and pause a clip"],
-  ["?", "this list"],
+  ["?", "show this list"],
 ];
 
 /**
- * Listens for keys. `calls`: `search()` focuses the SQL field, `close()` leaves the view,
- * `view()` the view that is open or null: its `key(event)` says whether it took the key.
+ * Listens for keys. `callbacks`: `search()` focuses the SQL field, `close()` leaves the view,
+ * `view()` returns the open view or null. A view's `key(event)` returns whether it handled the key.
  */
-export function listen(help, calls) {
+export function listen(help, callbacks) {
   help.append(
-    h("h2", { text: "Keyboard" }),
+    h("h2", { text: "Keyboard shortcuts" }),
     h(
       "dl",
       {},
@@ -33,19 +33,19 @@ export function listen(help, calls) {
     const writing = field && field.type !== "checkbox" && field.type !== "range";
     if (event.key === "Escape") {
       if (writing) field.blur();
-      else calls.close();
+      else callbacks.close();
     } else if (writing) {
       return;
     } else if (event.key === "/") {
       event.preventDefault();
-      calls.search();
+      callbacks.search();
     } else if (event.key === "?") {
       help.showModal();
     } else if (field && event.key.startsWith("Arrow")) {
-      return; // a slider takes its own arrows
+      return; // a slider handles its own arrows
     } else if (event.key === " " && event.target.closest?.("button, summary, input")) {
       return;
-    } else if (calls.view()?.key?.(event)) {
+    } else if (callbacks.view()?.key?.(event)) {
       event.preventDefault();
     }
   });

@@ -1,21 +1,21 @@
-// The panel of light that can be moved: the shaded canvas beside the rendered picture.
+// The light panel: a canvas shaded live, with light to move, beside the rendered picture.
 
 import { ask, askArray, path, query } from "./api.js";
-import { Dials } from "./dials.js";
 import { button, h } from "./dom.js";
+import { LightControls } from "./light_controls.js";
 import { Shading } from "./shading.js";
 
 export class LightPanel {
   /**
-   * @param shot the server's answer about a shot
-   * @param pictures address of the rendered picture under environment e: `pictures(e)`
-   * @param catalogue environments of the dataset, [{id}]
-   * @param environment the one to start with, a number of the shot's
+   * @param shot the server's description of a shot
+   * @param pictures `pictures(e)` is the address of the rendered picture under environment e
+   * @param catalogue the dataset's environments, [{id}]
+   * @param environment index of the shot's environment to start with
    */
   constructor(shot, pictures, catalogue, environment) {
     this.shot = shot;
     this.pictures = pictures;
-    this.dials = new Dials(() => this.draw());
+    this.sliders = new LightControls(() => this.draw());
     this.own = null;
     this.canvas = h("canvas", {
       class: "light",
@@ -71,11 +71,11 @@ export class LightPanel {
     this.select = h(
       "select",
       { "aria-label": "Environment", onchange: () => this.chosen() },
-      h("optgroup", { label: "Of this shot" }, ...mine),
+      h("optgroup", { label: "This shot" }, ...mine),
       others.length
         ? h(
             "optgroup",
-            { label: "Of the dataset" },
+            { label: "Others in this dataset" },
             ...others.map(({ id }) => h("option", { value: `other:${id}`, text: id })),
           )
         : null,
@@ -91,8 +91,8 @@ export class LightPanel {
     return h(
       "div",
       { class: "controls" },
-      h("div", { class: "row" }, this.select, open, this.file, ...this.dials.switches),
-      ...this.dials.elements,
+      h("div", { class: "row" }, this.select, open, this.file, ...this.sliders.switches),
+      ...this.sliders.elements,
     );
   }
 
@@ -115,13 +115,13 @@ export class LightPanel {
     return { subset, shot: key };
   }
 
-  /** Lights the shot with its environment number e. */
+  /** Lights the shot with its environment e. */
   async use(e) {
     const use = this.shot.environments[e];
     this.select.value = `shot:${e}`;
     this.rendered.src = this.pictures(e);
     await this.load(use.id);
-    this.dials.base(use.rotation, use.factor);
+    this.sliders.setBase(use.rotation, use.factor);
   }
 
   async chosen() {
@@ -156,11 +156,11 @@ export class LightPanel {
       this.select.querySelector(".own")?.remove();
       this.select.append(h("option", { class: "own", value: "own:", text: file.name }));
       this.select.value = "own:";
-      // Of a foreign panorama nobody knows the exposure: its mean light becomes middle grey's.
+      // The exposure of a foreign panorama is unknown: map its mean light to middle grey.
       const plane = this.own.data.subarray(0, this.own.data.length / 5);
       const mean = plane.reduce((sum, v) => sum + v, 0) / plane.length;
       this.light(this.own);
-      this.dials.base(0, mean > 0 ? 0.5 / mean : 1);
+      this.sliders.setBase(0, mean > 0 ? 0.5 / mean : 1);
     } catch (error) {
       this.fail(error);
     }
@@ -169,7 +169,7 @@ export class LightPanel {
   draw() {
     cancelAnimationFrame(this.frame);
     this.frame = requestAnimationFrame(() => {
-      if (this.shading?.draw(this.dials.settings)) {
+      if (this.shading?.draw(this.sliders.settings)) {
         this.waiting.hidden = true;
         this.canvas.dataset.drawn = String(Number(this.canvas.dataset.drawn ?? 0) + 1);
       }
@@ -178,15 +178,15 @@ export class LightPanel {
 
   grab(event) {
     this.canvas.setPointerCapture(event.pointerId);
-    this.held = { x: event.clientX, turn: this.dials.degrees };
+    this.held = { x: event.clientX, turn: this.sliders.degrees };
   }
 
   pull(event) {
     const box = this.canvas.getBoundingClientRect();
     if (this.held) {
-      // What lies behind the subject follows the pointer: the width of the canvas is half a turn.
+      // The background follows the pointer: the width of the canvas is half a turn.
       const turn = this.held.turn - ((event.clientX - this.held.x) / box.width) * 180;
-      return this.dials.turn(turn);
+      return this.sliders.turn(turn);
     }
     const x = Math.floor(((event.clientX - box.left) / box.width) * this.canvas.width);
     const y = Math.floor(((event.clientY - box.top) / box.height) * this.canvas.height);
@@ -200,7 +200,7 @@ export class LightPanel {
     if (!step) return;
     event.preventDefault();
     event.stopPropagation();
-    this.dials.turn(this.dials.degrees + step);
+    this.sliders.turn(this.sliders.degrees + step);
   }
 
   over(event) {

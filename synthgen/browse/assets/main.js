@@ -1,7 +1,6 @@
-// The page: puts the parts together and follows the address.
+// The page: assembles the parts and follows the address.
 
 import { askJson, query } from "./api.js";
-import { Bar } from "./bar.js";
 import { button, h, number } from "./dom.js";
 import { Facets } from "./facets.js";
 import { Grid } from "./grid.js";
@@ -10,16 +9,17 @@ import { Player } from "./player.js";
 import { Address, parameters } from "./selection.js";
 import { ShotView } from "./shot.js";
 import { SubjectView } from "./subject.js";
+import { Toolbar } from "./toolbar.js";
 
-const GROWING = 5000; // milliseconds between looks at a dataset that is being rendered
+const GROWING = 5000; // milliseconds between checks of a dataset that is being rendered
 
-const part = (id) => document.getElementById(id);
+const byId = (id) => document.getElementById(id);
 const address = new Address();
 let dataset = null;
 let view = null;
 let counting = null;
 
-const grid = new Grid(part("grid"), {
+const grid = new Grid(byId("grid"), {
   rows: (offset, limit, signal) =>
     askJson("/api/shots" + query({ ...parameters(address.selection), offset, limit }), { signal }),
   open: (row, index) => address.show("shot", row.subset, row.key, { at: String(index) }),
@@ -42,30 +42,30 @@ const grid = new Grid(part("grid"), {
   },
   revision: () => dataset.revision,
   counted: (total) => {
-    bar.count(total, dataset.shots);
-    bar.say(null);
+    toolbar.count(total, dataset.shots);
+    toolbar.showProblem(null);
     if (total) return;
-    const title = dataset.shots ? "Nothing is like that" : "No shots yet";
+    const title = dataset.shots ? "No shots match" : "No shots yet";
     grid.notice(
       title,
       dataset.shots
-        ? "No shot of this dataset meets all conditions. Take one away."
-        : "The dataset is being rendered; its shots appear here as they are finished.",
+        ? "No shot in this dataset meets every condition. Remove one."
+        : "The dataset is being rendered; shots appear here as they finish.",
     );
   },
   failed: (error) => {
-    bar.say(error.message);
+    toolbar.showProblem(error.message);
     if (grid.total === null) grid.notice("This could not be shown", error.message);
   },
 });
-const bar = new Bar(part("bar"), part("chips"), address, {
+const toolbar = new Toolbar(byId("bar"), byId("chips"), address, {
   resize: (size) => grid.resize(size),
-  filters: (shown) => part("page").classList.toggle("filtering", shown),
-  help: () => part("help").showModal(),
+  filters: (shown) => byId("page").classList.toggle("filtering", shown),
+  help: () => byId("help").showModal(),
 });
-const facets = new Facets(part("facets"), address, () => count());
+const facets = new Facets(byId("facets"), address, () => count());
 
-/** Counts and histograms of the selection, of the columns that are in sight. */
+/** Counts and histograms of the selection, for the columns in open groups. */
 async function count() {
   counting?.abort();
   counting = new AbortController();
@@ -79,26 +79,26 @@ async function count() {
       ),
     );
   } catch (error) {
-    // Of a wrong condition, 400, the bar speaks.
+    // The toolbar reports a wrong condition (400).
     if (error.name !== "AbortError" && error.status !== 400) facets.fail(error);
   }
 }
 
 function select() {
-  bar.show();
+  toolbar.show();
   grid.reset();
   count();
 }
 
-/** Opens the view that the address names. */
+/** Opens the view named in the address. */
 function open() {
   view?.close();
   view = null;
   const { name, subset, id } = address.view;
-  const place = part("view");
+  const place = byId("view");
   const inGrid = name === "grid";
-  for (const one of ["bar", "page"]) part(one).hidden = !inGrid;
-  part("chips").hidden = !inGrid || !part("chips").childElementCount;
+  for (const one of ["bar", "page"]) byId(one).hidden = !inGrid;
+  byId("chips").hidden = !inGrid || !byId("chips").childElementCount;
   place.hidden = inGrid;
   document.title = inGrid
     ? `${dataset.name} – synthgen browse`
@@ -107,10 +107,10 @@ function open() {
     place.replaceChildren();
     grid.resized();
     if (grid.total) grid.activate(grid.active);
-    part("grid").focus({ preventScroll: true });
+    byId("grid").focus({ preventScroll: true });
     return;
   }
-  place.replaceChildren(h("div", { class: "notice", text: "Reading…" }));
+  place.replaceChildren(h("div", { class: "notice", text: "Loading…" }));
   place.scrollTop = 0;
   const fail = (error) =>
     place.replaceChildren(
@@ -135,27 +135,27 @@ function open() {
   else view = new Player(place, address, fail);
 }
 
-/** Looks whether a dataset that is being rendered has grown, and shows what is new. */
+/** Checks whether a dataset that is being rendered has grown, and shows what is new. */
 async function watch() {
   try {
     const now = await askJson("/api/dataset");
     const grown = now.revision !== dataset.revision;
     dataset = { ...now };
-    bar.state.textContent = state(now);
+    toolbar.state.textContent = state(now);
     if (grown) {
       grid.refresh();
       count();
-      part("status").textContent = `${now.shots} shots`;
+      byId("status").textContent = `${now.shots} shots`;
     }
-    bar.state.classList.remove("lost");
+    toolbar.state.classList.remove("lost");
   } catch (error) {
-    bar.state.textContent = error.message;
-    bar.state.classList.add("lost");
+    toolbar.state.textContent = error.message;
+    toolbar.state.classList.add("lost");
   }
   if (state(dataset)) setTimeout(watch, GROWING);
 }
 
-/** What is still to come of a dataset, in two words; "" of one that is whole. */
+/** Why a dataset is not complete yet, in two words; "" if it is. */
 function state({ complete, ready }) {
   if (!complete) return "being rendered";
   return ready === false ? "being indexed" : "";
@@ -165,7 +165,7 @@ async function start() {
   try {
     dataset = await askJson("/api/dataset");
   } catch (error) {
-    part("page").replaceChildren(
+    byId("page").replaceChildren(
       h(
         "div",
         { class: "notice", role: "alert" },
@@ -176,16 +176,16 @@ async function start() {
     );
     return;
   }
-  bar.build(dataset);
+  toolbar.build(dataset);
   facets.build(dataset.columns);
-  listen(part("help"), {
+  listen(byId("help"), {
     search: () => {
       address.close();
-      bar.where.focus();
-      bar.where.select();
+      toolbar.where.focus();
+      toolbar.where.select();
     },
     close: () => {
-      if (part("page").classList.contains("filtering")) bar.filter(false);
+      if (byId("page").classList.contains("filtering")) toolbar.filter(false);
       else address.close();
     },
     view: () => view,
@@ -194,7 +194,7 @@ async function start() {
   address.addEventListener("view", open);
   select();
   open();
-  bar.state.textContent = state(dataset);
+  toolbar.state.textContent = state(dataset);
   if (state(dataset)) setTimeout(watch, GROWING);
 }
 

@@ -1,8 +1,8 @@
-// All that a shot records, as a tree that can be searched by the browser's own find.
+// Everything a shot records, as a tree that the browser's own find can search.
 
 import { bytes, h, number } from "./dom.js";
 
-/** A section with the whole of meta.json, folded by its keys. */
+/** A section with all of meta.json, folded by key. */
 export function metadata(meta) {
   const simple = Object.entries(meta).filter(([, value]) => !isTree(value));
   const trees = Object.entries(meta).filter(([, value]) => isTree(value));
@@ -15,7 +15,7 @@ export function metadata(meta) {
   );
 }
 
-/** Members of a shot as downloads, by name and size. */
+/** Members of a shot as downloads, with name and size. */
 export function members(list) {
   return h(
     "section",
@@ -36,7 +36,7 @@ export function members(list) {
   );
 }
 
-/** An address of this server, or none: what a dataset says never leads elsewhere. */
+/** An address on this server, or null: a dataset never links elsewhere. */
 function local(url) {
   const address = new URL(url, location.origin);
   return address.origin === location.origin ? address.pathname + address.search : null;
@@ -61,7 +61,7 @@ function branch(name, value) {
     { class: "branch" },
     h("summary", {}, h("span", { text: name }), h("span", { class: "number", text: String(size) })),
   );
-  // Filled when it is opened: a shot records some thousand numbers.
+  // Filled when first opened: a shot records thousands of numbers.
   details.addEventListener("toggle", () => {
     if (!details.open || details.children.length > 1) return;
     const entries = Object.entries(value);
@@ -86,7 +86,7 @@ function table(entries) {
 
 function write(value) {
   if (Array.isArray(value)) return value.map(write).join(", ");
-  // Seeds and ids are names, not amounts: no grouping.
+  // Seeds and ids are names, not amounts: no thousands separators.
   if (typeof value === "number") return Number.isInteger(value) ? String(value) : number(value);
   return String(value);
 }

@@ -1,4 +1,4 @@
-// Reading NumPy's .npz: a zip of .npy arrays, stored or deflated.
+// Reads NumPy's .npz: a zip of .npy arrays, stored or deflated.
 
 const KINDS = {
   "<f4": Float32Array,
@@ -11,7 +11,7 @@ const KINDS = {
 };
 
 /**
- * The arrays named, {name: {data, shape}}; names that the file lacks are left out.
+ * The named arrays, {name: {data, shape}}; names that the file lacks are skipped.
  *
  * @param {ArrayBuffer} buffer  @param {string[]} names
  */
@@ -24,11 +24,11 @@ export async function readNpz(buffer, names) {
   return found;
 }
 
-/** What the zip's central directory lists. */
+/** The entries of the zip's central directory. */
 function* entries(view) {
   let end = view.byteLength - 22;
   while (end >= 0 && view.getUint32(end, true) !== 0x06054b50) end--;
-  if (end < 0) throw new Error("geometry.npz is no zip file");
+  if (end < 0) throw new Error("geometry.npz is not a zip file");
   let at = view.getUint32(end + 16, true);
   for (let left = view.getUint16(end + 10, true); left > 0; left--) {
     const nameLength = view.getUint16(at + 28, true);
@@ -62,7 +62,7 @@ function readNpy(buffer) {
   const shape =
     (header.match(/'shape':\s*\(([^)]*)\)/)?.[1] ?? "").match(/\d+/g)?.map(Number) ?? [];
   if (!(kind in KINDS) || /'fortran_order':\s*True/.test(header)) {
-    throw new Error(`an array of type ${kind} cannot be read`);
+    throw new Error(`cannot read an array of type ${kind}`);
   }
   return { data: new KINDS[kind](buffer.slice(start + length)), shape };
 }

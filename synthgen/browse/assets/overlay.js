@@ -1,10 +1,10 @@
-// What is drawn over a shot's picture: its landmarks, and the mesh of its skin as wires.
+// Overlays on a shot's picture: its landmarks, and the mesh of its skin as a wireframe.
 
 import { ask, path } from "./api.js";
 import { readGlb } from "./glb.js";
 import { readNpz } from "./npz.js";
 
-// iBUG's 68: runs of points that are joined, and whether the last meets the first.
+// iBUG's 68: first and last point of each line, and whether it is closed.
 const LINES = [
   [0, 16, false],
   [17, 21, false],
@@ -18,14 +18,14 @@ const LINES = [
 ];
 
 export class Overlay {
-  /** @param shot the server's answer about a shot */
+  /** @param shot the server's description of a shot */
   constructor(shot) {
     this.shot = shot;
     this.landmarks = false;
     this.mesh = false;
   }
 
-  /** The posed skin, fetched once: {points (N, 3), indices}. Throws with one line without it. */
+  /** The posed skin, fetched once: {points (N, 3), indices}. Throws if there is none. */
   async skin() {
     const { subset, key, subject } = this.shot;
     this.loaded ??= Promise.all([
@@ -35,13 +35,13 @@ export class Overlay {
       const { control_points: points } = await readNpz(npz, ["control_points"]);
       // Control points are the vertices of the glTF's skin, in its order.
       const skin = readGlb(glb).find((mesh) => mesh.positions.length === points?.data.length);
-      if (!skin) throw new Error("The mesh of this subject has other vertices than its shot.");
+      if (!skin) throw new Error("The subject's mesh and this shot have different vertices.");
       return { points: points.data, indices: skin.indices };
     });
     return this.loaded;
   }
 
-  /** Draws into a canvas that lies over the picture, as many pixels as it is shown with. */
+  /** Draws into a canvas over the picture, at the resolution of the screen. */
   async draw(canvas) {
     const box = canvas.getBoundingClientRect();
     const density = Math.min(devicePixelRatio || 1, 2);

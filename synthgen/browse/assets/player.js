@@ -1,10 +1,10 @@
-// Play: a subject's shots in their order as a clip, under one environment or all of them at once.
+// Plays a subject's shots in order as a clip, under one environment or all of them at once.
 
 import { askJson, path, query } from "./api.js";
 import { button, h, segments, slider } from "./dom.js";
 
 export class Player {
-  /** @param address the page's `Address`, at a view `play` whose id is a subject */
+  /** @param address the page's `Address`, showing a view `play` whose id is a subject */
   constructor(element, address, fail) {
     this.element = element;
     this.address = address;
@@ -46,7 +46,7 @@ export class Player {
         this.seek(i);
       },
     });
-    this.rate = slider("Frames a second", {
+    this.rate = slider("Frames per second", {
       min: 1,
       max: 30,
       step: 1,
@@ -66,8 +66,8 @@ export class Player {
     const layout = segments(
       "Screens",
       [
-        [false, "One"],
-        [true, "Wall of all"],
+        [false, "One light"],
+        [true, "All lights"],
       ],
       this.wall,
       (wall) => this.set({ wall }),
@@ -105,12 +105,12 @@ export class Player {
 
   set(changes) {
     Object.assign(this, changes);
-    this.address.note({ environment: String(this.environment), wall: this.wall ? "1" : "0" });
+    this.address.setOptions({ environment: String(this.environment), wall: this.wall ? "1" : "0" });
     this.screens();
     this.load().then(() => this.seek(this.at));
   }
 
-  /** One screen per environment shown. */
+  /** Makes one screen per environment shown. */
   screens() {
     this.shown = this.wall ? this.environments.map((_, e) => e) : [this.environment];
     this.screen.style.setProperty("--count", String(this.shown.length));
@@ -121,7 +121,7 @@ export class Player {
     );
   }
 
-  /** Fetches all frames of the screens shown, so that the clip does not stutter. */
+  /** Loads all frames of the screens shown, so that the clip does not stutter. */
   async load() {
     const { shown } = this;
     this.frames ??= new Map();
@@ -139,11 +139,11 @@ export class Player {
           await image.decode();
         } catch {
           this.frames.set(`${i} ${e}`, null);
-          this.problem.textContent = `${this.shots[i]} could not be read; it is left out.`;
+          this.problem.textContent = `${this.shots[i]} could not be read and is skipped.`;
           this.problem.hidden = false;
         }
         left -= 1;
-        this.progress.textContent = left ? `${left} frames to come` : "";
+        this.progress.textContent = left ? `Loading ${left} more frames` : "";
       }),
     );
     this.element.dataset.loaded = "yes";
@@ -155,7 +155,7 @@ export class Player {
     this.element.dataset.frame = String(i);
     this.shown.forEach((e, n) => {
       const frame = this.frames.get(`${i} ${e}`);
-      // The very picture that was decoded: another with its address would be fetched again.
+      // Reuse the decoded element: another with the same address would be fetched again.
       if (frame) this.screen.children[n].firstChild.replaceWith(frame);
     });
   }

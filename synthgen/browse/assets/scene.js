@@ -30,12 +30,12 @@ void main() {
 }`;
 
 export class Scene {
-  /** Raises `ShadingError` where WebGL2 cannot be had. */
+  /** Throws an error of one line where WebGL2 is not available. */
   constructor(
     canvas,
     gl = canvas.getContext("webgl2", { antialias: true, preserveDrawingBuffer: true }),
   ) {
-    if (!gl) throw new Error("This browser offers no WebGL2, which the 3D view needs.");
+    if (!gl) throw new Error("The 3D view needs WebGL2, which this browser does not offer.");
     this.canvas = canvas;
     this.gl = gl;
     this.program = link(gl, VERTEX, FRAGMENT);
@@ -97,7 +97,7 @@ export class Scene {
     return this.add(this.gl.TRIANGLES, positions, colours, indices, normals(positions, indices));
   }
 
-  /** Adds line segments: positions (3N), two a line, of one colour [r, g, b] in bytes. */
+  /** Adds line segments: positions (3N), two per segment, and one colour [r, g, b] in bytes. */
   lines(positions, colour) {
     const count = positions.length / 3;
     const colours = new Uint8Array(4 * count);
@@ -135,7 +135,7 @@ export class Scene {
     return thing;
   }
 
-  /** Gives a mesh other positions (3N). */
+  /** Moves a mesh to new positions (3N). */
   move(thing, positions) {
     const { gl } = this;
     gl.bindBuffer(gl.ARRAY_BUFFER, thing.positions);
@@ -165,7 +165,7 @@ export class Scene {
     gl.useProgram(this.program);
     const { matrix, right, back } = this.view(width / height);
     gl.uniformMatrix4fv(this.place("camera"), false, matrix);
-    // The key light stands to the left of whoever looks, and above.
+    // The key light is to the left of the viewer, and above.
     const key = [0, 1, 2].map((i) => back[i] * 0.8 - right[i] * 0.45);
     key[2] += 0.4;
     gl.uniform3f(this.place("key"), ...unit(key));
@@ -177,7 +177,7 @@ export class Scene {
     gl.bindVertexArray(null);
   }
 
-  /** Projection times view, column by column; yaw 0 looks at the face from -Y. */
+  /** Projection times view, column-major; at yaw 0 the camera looks at the face from -Y. */
   view(aspect) {
     const back = [
       Math.sin(this.yaw) * Math.cos(this.pitch),
@@ -221,7 +221,7 @@ const cross = (a, b) => [
   a[0] * b[1] - a[1] * b[0],
 ];
 
-/** Normals of vertices (3N), not of unit length: the sum of their triangles' area vectors. */
+/** Vertex normals (3N), not of unit length: sums of the triangles' area vectors. */
 function normals(p, indices) {
   const result = new Float32Array(p.length);
   for (let i = 0; i < indices.length; i += 3) {

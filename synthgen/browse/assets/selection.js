@@ -1,9 +1,9 @@
-// The selection and the view, and the address bar that holds both.
+// The selection and the view, both kept in the address bar.
 //
 // The query string is the selection as the server takes it, the fragment the view:
 //     /?facets={"split":["test"]}&ranges={"head_yaw":[null,0]}#shot/multiview/s000001_p00?at=12
 
-/** What "everything, as it comes" is. */
+/** The selection of everything, in stored order. */
 export const NOTHING = Object.freeze({
   facets: {},
   ranges: {},
@@ -14,7 +14,7 @@ export const NOTHING = Object.freeze({
 export const GRID = Object.freeze({ name: "grid", subset: "", id: "", options: {} });
 const VIEWS = ["shot", "subject", "play"];
 
-/** The query parameters of a selection; what is not chosen is left out. */
+/** The query parameters of a selection, without those at their defaults. */
 export function parameters(selection) {
   const result = {};
   if (Object.keys(selection.facets).length) result.facets = JSON.stringify(selection.facets);
@@ -25,7 +25,7 @@ export function parameters(selection) {
   return result;
 }
 
-/** The selection of a query string; what cannot be read counts as not chosen. */
+/** The selection in a query string; what cannot be parsed is ignored. */
 export function parseSelection(search) {
   const query = new URLSearchParams(search);
   return {
@@ -60,7 +60,7 @@ export function fragment(view) {
   return `#${place}${options && "?" + options}`;
 }
 
-/** The view of a fragment; what is no view is the grid. */
+/** The view in a fragment; the grid if there is none. */
 export function parseView(hash) {
   const [place, options] = hash.replace(/^#/, "").split("?");
   let names;
@@ -74,18 +74,18 @@ export function parseView(hash) {
   return { name, subset, id, options: Object.fromEntries(new URLSearchParams(options ?? "")) };
 }
 
-/** Selection and view of this page; says "selection" and "view" when they have changed. */
+/** Selection and view of this page; dispatches "selection" and "view" when they change. */
 export class Address extends EventTarget {
   constructor() {
     super();
     this.read();
-    // A token in the address has become a cookie: it is not to be sent on with the view.
+    // A token in the address is a cookie by now: drop it, lest it be shared along with the view.
     if (new URLSearchParams(location.search).has("token")) this.write("replaceState");
     addEventListener("popstate", () => {
       const before = JSON.stringify(parameters(this.selection));
       this.read();
-      if (JSON.stringify(parameters(this.selection)) !== before) this.say("selection");
-      this.say("view");
+      if (JSON.stringify(parameters(this.selection)) !== before) this.emit("selection");
+      this.emit("view");
     });
   }
 
@@ -94,38 +94,38 @@ export class Address extends EventTarget {
     this.view = parseView(location.hash);
   }
 
-  /** Changes parts of the selection; each change is a step that Back undoes. */
+  /** Changes parts of the selection; each change is a step in the history. */
   select(changes) {
     this.selection = { ...this.selection, ...changes };
     this.write("pushState");
-    this.say("selection");
+    this.emit("selection");
   }
 
-  /** Chooses a facet's values; none is no choice. */
-  choose(column, values) {
+  /** Sets a facet's values; an empty list removes the facet. */
+  setFacet(column, values) {
     const facets = { ...this.selection.facets };
     if (values.length) facets[column] = values;
     else delete facets[column];
     this.select({ facets });
   }
 
-  /** Bounds a column; two nulls are no bound. */
-  bound(column, low, high) {
+  /** Sets a column's range; two nulls remove it. */
+  setRange(column, low, high) {
     const ranges = { ...this.selection.ranges };
     if (low === null && high === null) delete ranges[column];
     else ranges[column] = [low, high];
     this.select({ ranges });
   }
 
-  /** Goes to a view. */
+  /** Opens a view. */
   show(name, subset, id, options = {}) {
     this.view = { name, subset, id, options };
     this.write("pushState");
-    this.say("view");
+    this.emit("view");
   }
 
-  /** Notes how the present view is set, without a step in the history. */
-  note(options) {
+  /** Sets options of the current view without a step in the history. */
+  setOptions(options) {
     this.view = { ...this.view, options: { ...this.view.options, ...options } };
     this.write("replaceState");
   }
@@ -134,7 +134,7 @@ export class Address extends EventTarget {
     if (this.view.name === "grid") return;
     this.view = GRID;
     this.write("pushState");
-    this.say("view");
+    this.emit("view");
   }
 
   /** The address of a view in this selection. */
@@ -148,7 +148,7 @@ export class Address extends EventTarget {
     history[method](null, "", this.href(name, subset, id, options));
   }
 
-  say(what) {
-    this.dispatchEvent(new Event(what));
+  emit(name) {
+    this.dispatchEvent(new Event(name));
   }
 }

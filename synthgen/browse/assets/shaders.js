@@ -2,11 +2,12 @@
 //
 //     c = D(k_d a s_d(n) + sum_e k_s(e) s_s(e, r)),   r = 2 (n.v) n - v
 //
-// First the linear light of every pixel, into a float picture; then, as wanted, the pixel filter,
-// and D. The numbers are those of totalediting: look-ups as `lightmaps.sample` makes them (bilinear
-// between texel centres, columns wrap, beyond a pole lies the pole's row turned by half a circle),
-// composed as `phong.compose` and shown as `phong.display`. Lightmaps are in their environment's
-// own frame, normals in the camera's; directions are turned by Rz(-angle) camera_to_world.
+// The first pass writes the linear light of every pixel into a float texture; the second applies
+// the pixel filter, if wanted, and D. Results equal those of totalediting: look-ups as in
+// `lightmaps.sample` (bilinear between texel centres; columns wrap; beyond a pole lies the pole's
+// row turned by half a circle), composed as in `phong.compose`, displayed as by `phong.display`.
+// Lightmaps are in their environment's own frame, normals in the camera's; directions are rotated
+// by Rz(-angle) camera_to_world.
 
 export const VERTEX = `#version 300 es
 void main() {
@@ -20,7 +21,7 @@ precision highp int;
 precision highp sampler2D;
 precision highp sampler2DArray;
 
-uniform sampler2D albedo;      // linear; alpha in w
+uniform sampler2D albedo;      // linear; w: alpha
 uniform sampler2D normal;      // camera space
 uniform sampler2DArray maps;   // diffuse, then specular 1, 16, 32, 64
 uniform vec4 lens;             // focal x, y and centre x, y in pixels, y down
@@ -28,7 +29,7 @@ uniform mat3 turn;             // camera space to the lightmaps' frame
 uniform float exposure;        // linear factor
 uniform float diffuse;
 uniform vec4 specular;
-layout(location = 0) out vec4 colour;   // whether there is a surface in w
+layout(location = 0) out vec4 colour;   // w: whether there is a surface
 layout(location = 1) out vec4 behind;
 
 const float PI = 3.14159265358979;
@@ -60,7 +61,7 @@ void main() {
   vec2 centre = gl_FragCoord.xy;
   vec3 v = normalize(vec3(-(centre.x - lens.z) / lens.x, (centre.y - lens.w) / lens.y, 1.0));
   vec3 n = texelFetch(normal, pixel, 0).xyz;
-  behind = vec4(exposure * light(turn * -v, 4), 1.0); // the environment, as blurred as that lobe
+  behind = vec4(exposure * light(turn * -v, 4), 1.0); // the environment, blurred by that lobe
   colour = vec4(0.0);
   if (dot(n, n) < 1e-6) return;
   vec3 r = 2.0 * dot(n, v) / dot(n, n) * n - v;
@@ -70,15 +71,15 @@ void main() {
   colour = vec4(exposure * shaded, 1.0);
 }`;
 
-// Row 0 of all pictures is the upper one; the canvas counts from below.
+// Row 0 of every texture is the top one; the canvas counts from the bottom.
 export const SHOW = `#version 300 es
 precision highp float;
 precision highp int;
 precision highp sampler2D;
 
-uniform sampler2D linear;      // light; whether there is a surface in w
-uniform sampler2D far;    // light of what is behind
-uniform sampler2D albedo;      // alpha in w
+uniform sampler2D linear;      // light; w: whether there is a surface
+uniform sampler2D far;         // light of the background
+uniform sampler2D albedo;      // w: alpha
 uniform bool filtered;
 uniform bool backdrop;
 out vec4 colour;

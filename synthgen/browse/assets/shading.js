@@ -1,15 +1,15 @@
-// Shading of albedo and normals with lightmaps, in WebGL2, in two passes: see shaders.js.
+// Shades albedo and normals with lightmaps in WebGL2, in two passes: see shaders.js.
 
 import { LIGHT, SHOW, VERTEX } from "./shaders.js";
 import { surface } from "./surface.js";
 
 export const SHININESS = [1, 16, 32, 64];
 
-/** A failure of WebGL, as one line for people. */
+/** A failure of WebGL, as one line for the user. */
 export class ShadingError extends Error {}
 
 export class Shading {
-  /** Raises `ShadingError` where WebGL2 with float pictures cannot be had. */
+  /** Throws `ShadingError` where WebGL2 with float textures is not available. */
   constructor(canvas) {
     this.canvas = canvas;
     const gl = canvas.getContext("webgl2", {
@@ -21,7 +21,7 @@ export class Shading {
     });
     if (!gl?.getExtension("EXT_color_buffer_float")) {
       throw new ShadingError(
-        "This browser offers no WebGL2 with float pictures; light needs them.",
+        "Live light needs WebGL2 with float textures, which this browser does not offer.",
       );
     }
     this.gl = gl;
@@ -35,7 +35,7 @@ export class Shading {
   }
 
   /**
-   * What is shaded. Arrays are {data, shape, type} of one height and width.
+   * Sets the shot to shade. Arrays are {data, shape, type} of the same height and width.
    *
    * @param albedo (H, W, 3) float32, linear  @param normal (H, W, 3) float32, camera space
    * @param alpha (H, W) uint8, or float32 in [0, 1]
@@ -63,7 +63,7 @@ export class Shading {
     this.ready.shot = true;
   }
 
-  /** Lightmaps (5, 3, H, 2H) float32, in their environment's own frame. */
+  /** Sets the lightmaps, (5, 3, H, 2H) float32, in their environment's own frame. */
   setLightmaps({ data, shape }) {
     const [layers, , height, width] = shape;
     const plane = height * width;
@@ -93,11 +93,11 @@ export class Shading {
   }
 
   /**
-   * Draws the shot and returns true; false while it or its light is missing.
+   * Draws the shot and returns true; returns false while it or its light is missing.
    *
    * @param settings `angle` of the environment about +Z in radians, `exposure` linear factor,
-   *   `diffuse` k_d, `specular` k_s of SHININESS, `filtered` whether pixels take the mean around
-   *   them as a camera's do, `backdrop` whether the environment lies behind
+   *   `diffuse` k_d, `specular` k_s of SHININESS, `filtered` whether pixels are averaged
+   *   with their neighbours as in a camera, `backdrop` whether the environment is shown behind
    */
   draw(settings) {
     if (!this.ready.shot || !this.ready.maps) return false;
@@ -120,7 +120,7 @@ export class Shading {
     return true;
   }
 
-  /** Linear light at a pixel as it was last drawn, [r, g, b]; null where there is no surface. */
+  /** Linear light at a pixel as last drawn, [r, g, b]; null where there is no surface. */
   read(x, y) {
     const { gl } = this;
     if (!this.ready.shot || !this.ready.maps) return null;
@@ -149,7 +149,7 @@ class Program {
     }
   }
 
-  /** Takes the program and binds pictures and stacks of pictures by their uniforms' names. */
+  /** Uses the program and binds textures and texture arrays by the names of their uniforms. */
   use(pictures, stacks = {}) {
     const { gl } = this;
     gl.useProgram(this.program);
@@ -166,7 +166,7 @@ class Program {
   }
 }
 
-/** Rz(-angle) times the rotation of `axes`, column by column as WebGL takes it. */
+/** Rz(-angle) times the rotation of `axes`, in WebGL's column-major order. */
 function columns(axes, angle) {
   const cosine = Math.cos(angle);
   const sine = Math.sin(angle);
@@ -184,7 +184,7 @@ function nearest(gl, target) {
   gl.texParameteri(target, gl.TEXTURE_WRAP_T, gl.CLAMP_TO_EDGE);
 }
 
-/** A program of two shaders; raises `ShadingError` with the driver's first line. */
+/** A program of two shaders; throws `ShadingError` with the driver's first line. */
 export function link(gl, vertex, fragment) {
   const program = gl.createProgram();
   for (const [kind, source] of [

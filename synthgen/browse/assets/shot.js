@@ -1,16 +1,17 @@
-// One shot, large: its passes, its light, its metadata, and the way to its neighbours.
+// One shot in full: its passes, light and metadata, and the way to its neighbours.
 
 import { askJson, path } from "./api.js";
 import { button, h, segments } from "./dom.js";
 import { LightPanel } from "./light.js";
 import { members, metadata } from "./metadata.js";
 import { Overlay } from "./overlay.js";
-import { Stage } from "./stage.js";
+import { PassView } from "./passes.js";
 
 export class ShotView {
   /**
-   * @param address the page's `Address`, at a view `shot`  @param dataset the server's answer
-   * @param neighbour `neighbour(index)` resolves to the row at a place of the selection, or null
+   * @param address the page's `Address`, showing a view `shot`
+   * @param dataset the server's description of the dataset
+   * @param neighbour `neighbour(index)` resolves to the row at an index of the selection, or null
    */
   constructor(element, address, dataset, neighbour, fail) {
     Object.assign(this, { element, address, dataset, neighbour });
@@ -36,10 +37,10 @@ export class ShotView {
     this.overlay = new Overlay(shot);
     this.overlay.landmarks = options.landmarks === "1";
     this.overlay.mesh = options.mesh === "1";
-    this.stage = new Stage(shot, this.dataset, this.overlay, (e) => this.pick(e));
+    this.pictures = new PassView(shot, this.dataset, this.overlay, (e) => this.pick(e));
     this.light = new LightPanel(
       shot,
-      (e) => this.stage.picture("image", e),
+      (e) => this.pictures.picture("image", e),
       this.dataset.environments,
       this.environment,
     );
@@ -48,7 +49,7 @@ export class ShotView {
       h(
         "div",
         { class: "columns" },
-        h("div", { class: "main" }, this.tools(), this.stage.element, this.light.element),
+        h("div", { class: "main" }, this.tools(), this.pictures.element, this.light.element),
         h(
           "div",
           { class: "side" },
@@ -63,12 +64,12 @@ export class ShotView {
   }
 
   draw() {
-    this.stage.show(this.pass, this.environment, this.beside);
+    this.pictures.show(this.pass, this.environment, this.beside);
   }
 
   header(subset, id, subject) {
-    this.previous = button("←", () => this.step(-1), { label: "Previous shot of the selection" });
-    this.next = button("→", () => this.step(1), { label: "Next shot of the selection" });
+    this.previous = button("←", () => this.step(-1), { label: "Previous shot in the selection" });
+    this.next = button("→", () => this.step(1), { label: "Next shot in the selection" });
     this.previous.disabled = this.next.disabled = this.at === null;
     return h(
       "header",
@@ -93,7 +94,10 @@ export class ShotView {
         { class: "notice", role: "alert" },
         h("h2", { text: "This shot is broken" }),
         h("p", { text: reason }),
-        h("p", { class: "hint", text: "synthgen verify says what else is wrong with its shard." }),
+        h("p", {
+          class: "hint",
+          text: "Run synthgen verify to see what else is wrong with its shard.",
+        }),
       ),
     );
     if (this.shot.members?.length) this.element.append(members(this.shot.members));
@@ -115,8 +119,8 @@ export class ShotView {
           checked: this.overlay[name],
           onchange: (event) => {
             this.overlay[name] = event.target.checked;
-            this.address.note({ [name]: event.target.checked ? "1" : "0" });
-            this.stage.redraw();
+            this.address.setOptions({ [name]: event.target.checked ? "1" : "0" });
+            this.pictures.redraw();
           },
         }),
         h("span", { text: label }),
@@ -131,7 +135,7 @@ export class ShotView {
     );
   }
 
-  /** Which environments are shown: all side by side, or one of them, large. */
+  /** Chooses which environments are shown: all side by side, or one of them, large. */
   lights() {
     return h(
       "select",
@@ -139,7 +143,7 @@ export class ShotView {
         "aria-label": "Lights shown",
         onchange: ({ target }) => {
           this.beside = target.value === "all";
-          this.address.note({ one: this.beside ? "0" : "1" });
+          this.address.setOptions({ one: this.beside ? "0" : "1" });
           if (this.beside) this.draw();
           else this.pick(Number(target.value));
         },
@@ -148,7 +152,7 @@ export class ShotView {
       ...this.shot.environments.map(({ id }, e) =>
         h("option", {
           value: String(e),
-          text: `${id} alone`,
+          text: `${id} only`,
           selected: !this.beside && e === this.environment,
         }),
       ),
@@ -158,15 +162,15 @@ export class ShotView {
   show(pass) {
     this.pass = pass;
     this.switch.select(pass);
-    this.address.note({ pass });
+    this.address.setOptions({ pass });
     this.draw();
   }
 
-  /** Chooses an environment of the shot for light and play. */
+  /** Chooses an environment of the shot for the light panel and for play. */
   pick(environment) {
     this.environment = environment;
-    this.address.note({ environment: String(environment) });
-    if (this.beside) this.stage.mark(environment);
+    this.address.setOptions({ environment: String(environment) });
+    if (this.beside) this.pictures.mark(environment);
     else this.draw();
     this.light.use(environment);
   }
@@ -208,7 +212,7 @@ export class ShotView {
           await navigator.clipboard.writeText(this.shot.command);
           copy.textContent = "Copied";
         } catch {
-          // Without leave to use the clipboard, it is at least selected.
+          // Without permission to use the clipboard, at least select the command.
           getSelection().selectAllChildren(code);
           copy.textContent = "Selected";
         }
@@ -246,7 +250,7 @@ export class ShotView {
 
   close() {
     this.closed = true;
-    this.stage?.close();
+    this.pictures?.close();
     this.light?.close();
   }
 }

@@ -1,15 +1,15 @@
-// A subject in 3D: its canonical mesh, the cameras of its shots, and its expressions as sliders.
+// A subject in 3D: its canonical mesh, its shots' cameras, and its expressions as sliders.
 
 import { ask, askArray, askJson, path } from "./api.js";
 import { button, h, slider } from "./dom.js";
 import { readGlb } from "./glb.js";
 import { Scene } from "./scene.js";
 
-const FRUSTUM = 0.18; // length drawn, metres
-const CLEAR = /^(cornea|tear)_|lens/; // what light goes through would hide what is behind
+const FRUSTUM = 0.18; // length as drawn, metres
+const CLEAR = /^(cornea|tear)_|lens/; // transparent surfaces would hide what is behind them
 
 export class SubjectView {
-  /** @param address the page's `Address`, at a view `subject` */
+  /** @param address the page's `Address`, showing a view `subject` */
   constructor(element, address, fail) {
     this.element = element;
     this.address = address;
@@ -50,10 +50,10 @@ export class SubjectView {
             "div",
             { class: "row" },
             button("With cameras", () => this.fit(this.everything)),
-            button("Bust alone", () => this.fit(this.bust)),
+            button("Bust only", () => this.fit(this.bust)),
             h("p", {
               class: "hint",
-              text: "Drag to turn, wheel to zoom. Neck and head are at rest.",
+              text: "Drag to turn, scroll to zoom. Neck and head are at rest.",
             }),
           ),
         ),
@@ -123,7 +123,7 @@ export class SubjectView {
     this.canvas.dataset.cameras = String(cameras.length);
   }
 
-  /** Brings a sphere {centre, radius} into the window. */
+  /** Fits a sphere {centre, radius} into the view. */
   fit({ centre, radius }) {
     if (!this.scene) return;
     this.scene.target = centre;
@@ -153,7 +153,7 @@ export class SubjectView {
     const skin = this.meshes?.find(({ positions }) => positions.length === deltas.shape[1] * 3);
     if (!skin) {
       this.sliders.replaceChildren(
-        h("p", { class: "hint", text: "The expressions fit another mesh." }),
+        h("p", { class: "hint", text: "The expressions belong to a different mesh." }),
       );
       return;
     }
@@ -199,7 +199,7 @@ export class SubjectView {
   }
 }
 
-/** The sphere about the box of points, of arrays (3N). */
+/** The sphere around the bounding box of points in arrays (3N). */
 function bounds(arrays) {
   const low = [Infinity, Infinity, Infinity];
   const high = [-Infinity, -Infinity, -Infinity];
@@ -215,7 +215,7 @@ function bounds(arrays) {
   };
 }
 
-/** Line segments of a camera: its centre, its picture at `FRUSTUM` and a tick above it. */
+/** Line segments of a camera: its centre, its image plane at `FRUSTUM` and a tick above it. */
 function frustum({ camera_to_world: axes, intrinsics: [[fx, , cx], [, fy, cy]], width, height }) {
   const point = (x, y, z) =>
     [0, 1, 2].map((i) => axes[i][0] * x + axes[i][1] * y + axes[i][2] * z + axes[i][3]);

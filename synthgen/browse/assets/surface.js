@@ -1,12 +1,12 @@
-// What is shaded at each pixel of a shot.
+// Prepares the surface that is shaded at each pixel of a shot.
 
-const FILLED = 4; // pixels that labels may lie behind alpha
+const FILLED = 4; // pixels by which labels may fall short of alpha
 
 /**
- * What is shaded at each pixel, (4 H W) each: albedo with alpha, and normals.
+ * Albedo with alpha, and normals, of each pixel, (4 H W) each.
  *
- * Labels are one sample through a pixel's centre: at a silhouette or between strands they may have
- * missed what alpha says is there. Such a pixel takes the mean of its neighbours.
+ * Labels have one sample, through the pixel's centre: at a silhouette or between strands it may miss
+ * what alpha says is there. Such a pixel takes the mean of its neighbours.
  */
 export function surface(albedo, normal, alpha) {
   const [height, width] = albedo.shape;
@@ -37,7 +37,7 @@ export function surface(albedo, normal, alpha) {
   return { base, directions };
 }
 
-/** Mean albedo and normal of the up to eight neighbours that have one; null without any. */
+/** Mean albedo and normal of up to eight neighbours that have one; null if none has. */
 function neighbours(base, directions, i, width, height) {
   const [x, y] = [i % width, Math.floor(i / width)];
   const albedo = [0, 0, 0];

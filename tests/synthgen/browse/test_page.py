@@ -105,7 +105,7 @@ def test_an_sql_condition_and_a_wrong_one(browser_page: Any, browse_dataset: Pat
     page_driver.screenshot(page, "wrong-condition")
     field.fill("head_yaw > 99")
     field.press("Enter")
-    page.get_by_role("heading", name="Nothing is like that").wait_for()
+    page.get_by_role("heading", name="No shots match").wait_for()
     page.keyboard.press("Escape")
     page.get_by_role("button", name="Remove head_yaw > 99").click()
     total(page, SHOTS)

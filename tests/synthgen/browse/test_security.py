@@ -245,7 +245,7 @@ def test_a_manifest_cannot_name_bytes_that_are_not_its_own(copy: Path, tmp_path:
 def test_a_key_reads_no_other_shots_members(copy: Path, tmp_path: Path):
     rewrite(copy, 'reverse("key") AS "key"')
     answer = client(copy, tmp_path / "cache").get("/api/shot/multiview/10p_200000s")
-    assert "is no member of 10p_200000s" in answer.json()["broken"]
+    assert "is not a member of 10p_200000s" in answer.json()["broken"]
 
 
 @pytest.mark.parametrize(

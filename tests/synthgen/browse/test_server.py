@@ -241,7 +241,7 @@ def test_histograms_hold_every_value_between_their_edges(ask: TestClient, small_
         ),
         (
             {"ranges": '{"split": [0, 1]}'},
-            "ranges: split is no column of numbers; use facets or where",
+            "ranges: split is not a numeric column; use facets or where",
         ),
         ({"sort": "nose"}, "sort: the manifest has no column 'nose'"),
         ({"sort": "environments"}, "sort: environments holds lists; sort by another column"),

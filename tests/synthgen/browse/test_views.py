@@ -298,7 +298,7 @@ def test_a_clip_plays_in_one_light_or_in_all(chromium: Any, browse_site: str):
             page.wait_for_selector(f"#view[data-frame='{frame}']")
         page.keyboard.press("Escape")
         page.go_back()
-        page.get_by_role("radio", name="Wall of all").click()
+        page.get_by_role("radio", name="All lights").click()
         page.wait_for_function("() => document.querySelectorAll('.screens img').length === 3")
         assert "wall=1" in page.url
         page.wait_for_selector("#view[data-loaded=yes]")

@@ -1,4 +1,4 @@
-// The bar above the grid: what dataset it is, the SQL condition, the order, and the chosen filters.
+// The toolbar above the grid: the dataset's name, the SQL condition, the order, the active filters.
 
 import { button, h, number, segments } from "./dom.js";
 
@@ -8,10 +8,10 @@ const SIZES = [
   [240, "L"],
 ];
 
-export class Bar {
-  /** @param calls `resize(pixels)`, `filters(shown)`, `help()` */
-  constructor(element, chips, address, calls) {
-    Object.assign(this, { element, chips, address, calls });
+export class Toolbar {
+  /** @param callbacks `resize(pixels)`, `filters(shown)`, `help()` */
+  constructor(element, chips, address, callbacks) {
+    Object.assign(this, { element, chips, address, callbacks });
   }
 
   build(dataset) {
@@ -62,15 +62,15 @@ export class Bar {
         this.filters,
         this.sort,
         this.direction,
-        segments("Size of pictures", SIZES, 160, this.calls.resize),
-        button("?", () => this.calls.help(), { label: "Keyboard" }),
+        segments("Picture size", SIZES, 160, this.callbacks.resize),
+        button("?", () => this.callbacks.help(), { label: "Keyboard shortcuts" }),
       ),
     );
     this.where.value = selection.where;
     this.show();
   }
 
-  /** Columns to sort by, under their groups. */
+  /** Columns to sort by, grouped. */
   orders(columns) {
     const groups = new Map();
     for (const column of columns.filter(({ listed }) => !listed)) {
@@ -83,33 +83,33 @@ export class Bar {
     return groups.values();
   }
 
-  /** Shows the filters instead of the grid, where there is no room for both, or the grid again. */
+  /** Switches between filters and grid where there is no room for both. */
   filter(shown) {
     this.filtering = shown;
     this.filters.textContent = shown ? "Show pictures" : "Filters";
-    this.calls.filters(shown);
+    this.callbacks.filters(shown);
   }
 
-  /** Shows the selection: field, order and a chip per filter. */
+  /** Shows the selection: condition, order and a chip per filter. */
   show() {
     const { where, sort, descending, facets, ranges } = this.address.selection;
     if (document.activeElement !== this.where) this.where.value = where;
     this.sort.value = sort;
     this.direction.textContent = descending ? "↓" : "↑";
     const label = descending
-      ? "Descending; change to ascending"
-      : "Ascending; change to descending";
+      ? "Descending; switch to ascending"
+      : "Ascending; switch to descending";
     this.direction.setAttribute("aria-label", label);
     this.direction.title = label;
     this.direction.disabled = !sort;
     const chips = [
       ...Object.entries(facets).map(([name, values]) => [
         `${this.label(name)}: ${values.map((v) => v ?? "none").join(", ")}`,
-        () => this.address.choose(name, []),
+        () => this.address.setFacet(name, []),
       ]),
       ...Object.entries(ranges).map(([name, [low, high]]) => [
         `${this.label(name)}: ${span(low, high)}`,
-        () => this.address.bound(name, null, null),
+        () => this.address.setRange(name, null, null),
       ]),
     ];
     if (where)
@@ -152,8 +152,8 @@ export class Bar {
     this.total.textContent = `${number(total)}${all} shots`;
   }
 
-  /** One line below the field; null takes it away. */
-  say(problem) {
+  /** Shows one line below the condition; null removes it. */
+  showProblem(problem) {
     this.problem.textContent = problem ?? "";
     this.problem.hidden = !problem;
     this.where.setAttribute("aria-invalid", String(Boolean(problem)));

@@ -1,14 +1,14 @@
-// The pictures of a shot: every pass, its environments side by side, values under the pointer.
+// The passes of a shot as pictures, environments side by side, with values under the pointer.
 
 import { askArray, path, query } from "./api.js";
 import { h } from "./dom.js";
 
-export class Stage {
+export class PassView {
   /**
-   * @param shot the server's answer about a shot
-   * @param dataset its answer about the dataset: `part_names` [{id, name, colour}], colours as
-   *   [r, g, b] in bytes, `passes` [{name, axes, unit, lit}], lit: differs by environment
-   * @param overlay the shot's `Overlay`  @param picked called with an environment's number
+   * @param shot the server's description of a shot
+   * @param dataset its description of the dataset: `part_names` [{id, name, colour}], with colours
+   *   [r, g, b] in bytes; `passes` [{name, axes, unit, lit}], lit: differs by environment
+   * @param overlay the shot's `Overlay`  @param picked called with an environment's index
    */
   constructor(shot, dataset, overlay, picked) {
     this.shot = shot;
@@ -20,19 +20,19 @@ export class Stage {
     this.figures = h("div", { class: "figures" });
     this.readout = h("dl", { class: "readout", "aria-label": "Values under the pointer" });
     this.legend = h("ul", { class: "legend", hidden: true, "aria-label": "Parts" });
-    this.element = h("div", { class: "stage" }, this.figures, this.legend, this.readout);
+    this.element = h("div", { class: "passes" }, this.figures, this.legend, this.readout);
     this.resizing = new ResizeObserver(() => this.redraw());
     this.resizing.observe(this.figures);
     this.idle();
   }
 
-  /** Address of a pass as a picture. */
+  /** The address of a pass as a picture. */
   picture(pass, environment = 0) {
     const { subset, key } = this.shot;
     return path("pass", subset, key, pass) + query({ environment });
   }
 
-  /** Shows a pass; `beside`: of the image, all environments side by side. */
+  /** Shows a pass; with `beside`, the image under all environments side by side. */
   show(pass, environment, beside) {
     this.pass = pass;
     const { environments } = this.shot;
@@ -97,7 +97,7 @@ export class Stage {
       {
         type: "button",
         class: "pick",
-        "aria-label": `Use ${use?.id} for light and play`,
+        "aria-label": `Use ${use?.id} for the light panel and for play`,
         onclick: () => this.picked(e),
       },
       ...words,
@@ -111,7 +111,7 @@ export class Stage {
     }
   }
 
-  /** Draws landmarks and wires again; a failure is said in the readout. */
+  /** Redraws the overlays; a failure is shown in the readout. */
   async redraw() {
     try {
       for (const canvas of this.figures.querySelectorAll("canvas.overlay")) {
@@ -145,7 +145,7 @@ export class Stage {
     );
   }
 
-  /** Arrays of passes are fetched when they are first asked for, each once. */
+  /** The array of a pass, fetched on first use. */
   array(pass, environment) {
     const name = this.passes.get(pass).lit ? `${pass} ${environment}` : pass;
     if (!this.values.has(name)) {

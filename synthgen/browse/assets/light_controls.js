@@ -1,20 +1,20 @@
-// The dials of the light: rotation, exposure, and the coefficients of Phong's model.
+// The sliders of the light: rotation, exposure, and the coefficients of Phong's model.
 
 import { button, h, slider } from "./dom.js";
 import { SHININESS } from "./shading.js";
 
-// Skin without its fine structure; only a start.
+// Plausible for skin; only a starting point.
 const START = { diffuse: 1, specular: [0, 0.02, 0.01, 0] };
 const DEGREE = Math.PI / 180;
 
-export class Dials {
-  /** @param changed called when a dial has moved */
+export class LightControls {
+  /** @param changed called when a setting has changed */
   constructor(changed) {
     this.changed = changed;
     this.rotation = 0;
     this.factor = 1;
     this.settings = { ...START, angle: 0, exposure: 1, filtered: true, backdrop: false };
-    const dial = (label, min, max, step, write, set) => {
+    const labelled = (label, min, max, step, write, set) => {
       const oninput = (value) => {
         set(value);
         changed();
@@ -22,7 +22,7 @@ export class Dials {
       return slider(label, { min, max, step, value: 0, write, oninput });
     };
     const stops = (v) => `${v >= 0 ? "+" : "−"}${Math.abs(v).toFixed(1)} stops`;
-    this.angle = dial(
+    this.angle = labelled(
       "Rotation",
       -180,
       180,
@@ -30,8 +30,8 @@ export class Dials {
       (v) => `${Math.round(v)}°`,
       (v) => this.rotate(v),
     );
-    this.exposure = dial("Exposure", -4, 4, 0.1, stops, (v) => this.expose(v));
-    this.diffuse = dial(
+    this.exposure = labelled("Exposure", -4, 4, 0.1, stops, (v) => this.expose(v));
+    this.diffuse = labelled(
       "Diffuse k_d",
       0,
       2,
@@ -42,7 +42,7 @@ export class Dials {
       },
     );
     this.specular = SHININESS.map((exponent, i) =>
-      dial(
+      labelled(
         `Specular k_s ${exponent}`,
         0,
         0.5,
@@ -53,18 +53,22 @@ export class Dials {
         },
       ),
     );
-    const dials = [this.angle, this.exposure, this.diffuse, ...this.specular];
-    this.elements = dials.map(({ element }) => element);
+    const sliders = [this.angle, this.exposure, this.diffuse, ...this.specular];
+    this.elements = sliders.map(({ element }) => element);
     this.switches = [
-      this.check("Pixel filter", "filtered", "Labels are one sample a pixel; a picture is not"),
+      this.check(
+        "Pixel filter",
+        "filtered",
+        "Averages neighbouring pixels, as the picture does and labels do not",
+      ),
       this.check(
         "Blurred backdrop",
         "backdrop",
-        "The environment, as the sharpest lightmap has it",
+        "The environment as the sharpest lightmap blurs it",
       ),
       button("Reset", () => this.reset()),
     ];
-    this.rest();
+    this.setDefaults();
   }
 
   check(text, name, title) {
@@ -76,19 +80,19 @@ export class Dials {
     return h("label", { class: "check", title }, box, h("span", { text }));
   }
 
-  /** Takes a light's own rotation (radians) and exposure (linear factor) as where dials rest. */
-  base(rotation, factor) {
+  /** Makes a light's own rotation (radians) and exposure (linear factor) the sliders' zero. */
+  setBase(rotation, factor) {
     this.rotation = rotation;
     this.factor = factor;
     this.reset();
   }
 
   reset() {
-    this.rest();
+    this.setDefaults();
     this.changed();
   }
 
-  rest() {
+  setDefaults() {
     this.angle.set(0);
     this.rotate(0);
     this.exposure.set(0);
@@ -107,12 +111,12 @@ export class Dials {
     this.settings.exposure = this.factor * 2 ** stops;
   }
 
-  /** Degrees that the environment is turned by, from where it rests. */
+  /** Degrees by which the environment is turned from its own rotation. */
   get degrees() {
     return Number(this.angle.input.value);
   }
 
-  /** Turns the environment; any number of degrees, wrapped into [-180, 180). */
+  /** Turns the environment to an angle in degrees, wrapped into [-180, 180). */
   turn(degrees) {
     this.angle.set(((((degrees + 180) % 360) + 360) % 360) - 180);
     this.rotate(this.degrees);
