@@ -12,9 +12,10 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from assets_procedural import __version__
+
 __all__ = ["__version__", "load_job", "open_dataset", "render_job"]
 
-__version__ = "0.2.0"
 
 if TYPE_CHECKING:
     from synthgen.dataset import open_dataset

@@ -9,10 +9,12 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from assets_procedural import __version__
+
 if TYPE_CHECKING:
     from totalediting.light.lightmaps import bake
 
-__all__ = ["bake"]
+__all__ = ["__version__", "bake"]
 
 _HOMES = {"bake": "totalediting.light.lightmaps"}
 

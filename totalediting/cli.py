@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from assets_procedural.conventions.command_line import run
+import totalediting
+from assets_procedural.conventions.command_line import print_version, run
 from totalediting.errors import InputError
 from totalediting.presets import PRESETS, preset_with
 from totalediting.training.stages import STAGES
@@ -26,7 +27,7 @@ Device = Literal["cpu", "cuda"]
 app = typer.Typer(
     help="Edit portraits: appearance, motion and light of a head, each by itself.",
     no_args_is_help=True,
-    add_completion=False,
+    rich_markup_mode="markdown",
     pretty_exceptions_enable=False,
 )
 
@@ -36,6 +37,21 @@ MAP_ROWS = (4, 512)
 def main() -> None:
     """Entry point: `app()`, with errors of the user's making as one line and exit code 2."""
     run(app)
+
+
+@app.callback()
+def program(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version",
+            help="Print the version and exit.",
+            is_eager=True,
+            callback=print_version(f"totalediting {totalediting.__version__}"),
+        ),
+    ] = False,
+) -> None:
+    """Options of the program itself; its help is that of `app`."""
 
 
 @app.command()

@@ -10,8 +10,10 @@ import sys
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
+from typing import Literal
 
 import pytest
+import typer
 from answer import Answer
 
 from assets_procedural.conventions import command_line
@@ -40,7 +42,7 @@ def distribution(module: str) -> str:
 
 
 def raising(error: Exception) -> Callable[[], None]:
-    def app() -> None:
+    def app(standalone_mode: bool) -> None:
         raise error
 
     return lambda: run(app)
@@ -92,13 +94,56 @@ def test_an_error_without_a_message_says_what_it_is():
 
 
 def test_what_libraries_log_is_shown(run_main: Callable):
-    def app() -> None:
+    def app(standalone_mode: bool) -> None:
         logging.getLogger("synthgen.somewhere").info("step 1 of 2")
         logging.getLogger("synthgen.somewhere").warning("slow [here]")
         raise SystemExit(0)
 
     answer: Answer = run_main(lambda: run(app))
     assert answer.stderr.splitlines() == ["step 1 of 2", "warning: slow [here]"]
+
+
+Level = Literal["low", "high"]
+
+
+def toy() -> typer.Typer:
+    app = typer.Typer(no_args_is_help=True)
+
+    @app.command()
+    def render(job: str, threads: int = 1, level: Level = "low") -> None:
+        if job == "stop":
+            raise KeyboardInterrupt
+
+    @app.command()
+    def check() -> None:
+        raise typer.Exit(1)
+
+    return app
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        ("render x --threads many", "error: --threads = many: must be a valid integer"),
+        ("render x --threads=many", "error: --threads = many: must be a valid integer"),
+        ("render x --level off", "error: --level = off: 'off' is not one of 'low', 'high'"),
+        ("rendr x", "error: no such command 'rendr'"),
+        ("render x --thread 2", "error: no such option: --thread"),
+        ("render", "error: missing argument 'job'"),
+    ],
+)
+def test_a_wrong_command_line_is_one_line(run_main: Callable, words: str, line: str):
+    answer: Answer = run_main(lambda: run(toy()), *words.split())
+    assert answer.error.startswith(line)
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "line"),
+    [("render x", 0, ""), ("check", 1, ""), ("render stop", 130, "interrupted\n")],
+)
+def test_a_command_ends_as_it_says(run_main: Callable, words: str, code: int, line: str):
+    answer: Answer = run_main(lambda: run(toy()), *words.split())
+    assert (answer.returncode, answer.stderr) == (code, line)
 
 
 def test_the_version_is_printed_only_where_it_is_asked_for(capsys: pytest.CaptureFixture[str]):
