@@ -125,15 +125,38 @@ class Sandbox:
         return tree
 
 
-_FORBIDDEN = ("getenv", "current_setting", "getvariable", "nextval", "currval", "write_log")
+# All that a condition may be made of. DuckDB looks at its limits of time and memory between batches
+# of rows, never inside one call of a function: what makes much of little (range, repeat, lpad,
+# format, list_transform, …) would outrun them, so what is not named here is refused.
+_FUNCTIONS = """
+    + - * / // % ** ^ & | << >> ~ ! @
+    abs sign round floor ceil ceiling trunc sqrt cbrt exp ln log log2 log10 pow power mod
+    sin cos tan asin acos atan atan2 degrees radians pi greatest least isnan isinf isfinite
+    ~~ !~~ ~~* !~~* ~~~ like_escape ilike_escape not_like_escape not_ilike_escape
+    regexp_matches regexp_full_match contains starts_with ends_with prefix suffix
+    lower upper trim ltrim rtrim length len strlen substr substring left right split_part instr
+    strpos position || concat hash md5 coalesce ifnull nullif if
+    list_contains list_has array_contains array_has list_has_any array_has_any list_has_all
+    array_has_all list_position list_min list_max list_sum list_avg list_value array_extract
+    list_extract element_at map_extract map_contains map_keys map_values struct_extract struct_pack
+    row map cardinality
+    count count_star sum avg mean min max median stddev stddev_samp stddev_pop variance var_samp
+    bool_and bool_or any_value
+    """
+_CLASSES = """
+    BETWEEN CASE CAST COLLATE COLUMN_REF COMPARISON CONJUNCTION CONSTANT FUNCTION OPERATOR SUBQUERY
+    TYPE STAR
+    """
+_allowed_functions, _allowed_classes = frozenset(_FUNCTIONS.split()), frozenset(_CLASSES.split())
+_MOST_JOINS_OF_TEXT = 8  # each may double a text, by an alias for one
 
 
-def _walk(node: Any) -> None:
+def _walk(node: Any) -> int:
+    """Refuse what is not allowed; returns how many texts are joined."""
     if isinstance(node, list):
-        for item in node:
-            _walk(item)
+        return _few(sum(map(_walk, node)))
     if not isinstance(node, dict):
-        return
+        return 0
     kind, function = node.get("type"), str(node.get("function_name", "")).lower()
     if kind == "TABLE_FUNCTION":
         name = node.get("function", {}).get("function_name", "?")
@@ -146,10 +169,20 @@ def _walk(node: Any) -> None:
         raise Refused(
             f"where: no table {node.get('table_name')}; only manifest can be queried", 400
         )
-    if function in _FORBIDDEN:
+    if (is_a := node.get("class")) is not None and is_a not in _allowed_classes:
+        raise Refused(f"where: {is_a.lower()} expressions are not available here", 400)
+    if is_a == "FUNCTION" and function not in _allowed_functions:
         raise Refused(f"where: the function {function} is not available here", 400)
-    for value in node.values():
-        _walk(value)
+    if kind in ("RECURSIVE_CTE_NODE", "CTE_NODE") or (node.get("cte_map") or {}).get("map"):
+        raise Refused("where: WITH is not available here", 400)
+    joined = function in ("||", "concat")
+    return _few(joined + sum(map(_walk, node.values())))
+
+
+def _few(joined: int) -> int:
+    if joined > _MOST_JOINS_OF_TEXT:
+        raise Refused(f"where: joins more than {_MOST_JOINS_OF_TEXT} texts; join fewer", 400)
+    return joined
 
 
 def _one_line(error: Any) -> str:
