@@ -48,6 +48,7 @@ from synthgen.browse.sandbox import ROWS
 from synthgen.browse.security import Guard, plain_header
 from synthgen.browse.snapshot import Library, Snapshot
 from synthgen.browse.thumbnails import SIZES, Thumbnails
+from synthgen.browse.uploads import Uploads
 from synthgen.dataset.folder import StorageError
 
 _ASSETS = files("synthgen.browse") / "assets"
@@ -70,7 +71,7 @@ class Server:
 
     def __init__(self, library: Library, thumbnails: Thumbnails) -> None:
         self.library, self.thumbnails = library, thumbnails
-        self.decoder = Decoder()
+        self.decoder, self.uploads = Decoder(), Uploads()
         self.folder: Folder = library.folder
 
     def page(self, request: Request) -> Response:
@@ -144,13 +145,8 @@ class Server:
 
     async def bake(self, request: Request) -> Response:
         height = selection.number(request.query_params, "height", 32, *light.HEIGHTS)
-        content = bytearray()
-        async for piece in request.stream():
-            content += piece
-            if len(content) > light.LARGEST_UPLOAD:
-                most = light.LARGEST_UPLOAD >> 20
-                raise Refused(f"the file is larger than {most} MB; make the panorama smaller", 413)
-        return _array(await run_in_threadpool(light.of_upload, bytes(content), height))
+        content = await self.uploads.read(request, light.LARGEST_UPLOAD)
+        return _array(await run_in_threadpool(light.of_upload, content, height))
 
     def subject(self, request: Request) -> Response:
         return Answer(subjects.describe(*self._subject(request)))

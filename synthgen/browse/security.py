@@ -78,10 +78,14 @@ class Guard:
     def _refusal(self, request: Request) -> Response | None:
         if self.token is None and not _local_name(request.headers.get("host", "")):
             return _error("this server answers on localhost only", 403)
-        # A browser says where a request comes from; other sites have no business here.
+        # A browser says where a request comes from. Other sites may link to the page, no more:
+        # neither frame it nor make it work.
         site = request.headers.get("sec-fetch-site", "same-origin")
         if site not in ("same-origin", "none") and not (
-            request.method == "GET" and request.headers.get("sec-fetch-mode") == "navigate"
+            request.method == "GET"
+            and request.url.path == "/"
+            and request.headers.get("sec-fetch-mode") == "navigate"
+            and request.headers.get("sec-fetch-dest") == "document"
         ):
             return _error("requests from other sites are refused", 403)
         if self.token is None:

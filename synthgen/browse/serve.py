@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import asyncio
 import socket
 from collections.abc import Callable
 from pathlib import Path
 
 import uvicorn
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from synthgen.browse.app import create
 from synthgen.browse.folder import Folder
@@ -14,6 +16,38 @@ from synthgen.browse.security import is_loopback, new_token
 from synthgen.browse.snapshot import Library, threads
 from synthgen.browse.thumbnails import Thumbnails
 from synthgen.errors import JobError
+
+HEADER_SECONDS = 20.0
+"""What a request's head may take to arrive."""
+
+
+class Patient(H11Protocol):
+    """Closes a connection whose request is not there in `HEADER_SECONDS`, however it trickles."""
+
+    _timer: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        super().connection_made(transport)
+        self._watch()
+
+    def data_received(self, data: bytes) -> None:
+        super().data_received(data)
+        self._watch()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._stop()
+        super().connection_lost(exc)
+
+    def _watch(self) -> None:
+        if self.cycle is not None and not self.cycle.response_complete:
+            self._stop()
+        elif self._timer is None:
+            self._timer = self.loop.call_later(HEADER_SECONDS, self.transport.close)
+
+    def _stop(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
 
 
 def serve(
@@ -45,7 +79,9 @@ def serve(
         say("anyone with this address, token included, can see the dataset")
     ready(address)
     # Without a log of requests: the address of the first one holds the token.
-    config = uvicorn.Config(app, log_level="warning", access_log=False, server_header=False)
+    config = uvicorn.Config(
+        app, http=Patient, log_level="warning", access_log=False, server_header=False
+    )
     try:
         with listening:
             uvicorn.Server(config).run(sockets=[listening])

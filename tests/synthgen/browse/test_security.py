@@ -461,11 +461,32 @@ def test_every_address_asks_for_the_token(small_dataset: Path, tmp_path: Path):
         ({"sec-fetch-site": "same-site"}, 403),
         ({"sec-fetch-site": "same-origin"}, 200),
         ({"sec-fetch-site": "none"}, 200),
-        ({"sec-fetch-site": "cross-site", "sec-fetch-mode": "navigate"}, 200),
+        ({"sec-fetch-site": "cross-site", "sec-fetch-mode": "navigate"}, 403),
     ],
 )
 def test_other_sites_cannot_ask(ask: TestClient, headers: dict[str, str], status: int):
     assert ask.get("/api/dataset", headers=headers).status_code == status
+
+
+@pytest.mark.parametrize(
+    ("path", "destination", "status"),
+    [
+        ("/", "document", 200),
+        ("/?where=view+%3D+1", "document", 200),
+        ("/", "iframe", 403),
+        ("/api/shots?where=true", "document", 403),
+        ("/assets/index.html", "document", 403),
+    ],
+)
+def test_other_sites_can_link_to_the_page_alone(
+    ask: TestClient, path: str, destination: str, status: int
+):
+    headers = {
+        "sec-fetch-site": "cross-site",
+        "sec-fetch-mode": "navigate",
+        "sec-fetch-dest": destination,
+    }
+    assert ask.get(path, headers=headers).status_code == status
 
 
 def test_every_answer_forbids_what_no_page_needs(ask: TestClient):
