@@ -22,6 +22,8 @@ import numpy as np
 
 from assets_procedural.mesh.vectors import arctan2
 
+_BAND = 1 << 21  # texels of a panorama that are averaged at once
+
 
 def direction_to_uv(direction: np.ndarray) -> np.ndarray:
     """Directions (..., 3), any length above 0, to (..., 2) (u, v) in [0, 1]."""
@@ -109,9 +111,14 @@ def shrink(panorama: np.ndarray, factor: int) -> np.ndarray:
         raise ValueError(f"{height} x {width} does not divide by {factor}")
     blocks = panorama.reshape(height // factor, factor, width // factor, factor, channels)
     # Rows shrink towards the poles, so energy is kept by weighting with their solid angles.
-    weight = texel_solid_angles(height).reshape(height // factor, factor, 1, 1, 1)
-    mean = (blocks * weight).sum(axis=(1, 3)) / (weight.sum(axis=(1, 3)) * factor)
-    return mean.astype(panorama.dtype)
+    weights = texel_solid_angles(height).reshape(height // factor, factor, 1, 1, 1)
+    mean = np.empty((height // factor, width // factor, channels), panorama.dtype)
+    step = max(1, _BAND // (width * factor))  # rows at once: a large panorama is not doubled
+    for top in range(0, len(mean), step):
+        weight = weights[top : top + step]
+        total = (blocks[top : top + step] * weight).sum(axis=(1, 3))
+        mean[top : top + step] = total / (weight.sum(axis=(1, 3)) * factor)
+    return mean
 
 
 def resize(panorama: np.ndarray, width: int) -> np.ndarray:
