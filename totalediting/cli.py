@@ -83,6 +83,10 @@ def bake(
             metavar="A,B,C,D", help="The ball's specular coefficients, for shininess 1, 16, 32, 64."
         ),
     ] = "0,0,0.2,0",
+    missing: Annotated[
+        Literal["refuse", "black"],
+        typer.Option(help="What becomes of a part of the sphere that the file has no pixels for."),
+    ] = "refuse",
     device: Annotated[Device, typer.Option(help="Where to compute.")] = "cpu",
 ) -> None:
     """Pre-filter a panorama into the five lightmaps that a portrait is lit with."""
@@ -98,14 +102,15 @@ def bake(
 
     import torch
 
-    from assets_procedural.conventions import panorama_files
+    from assets_procedural.conventions import panorama_reading
     from totalediting.light import lightmaps, pictures
     from totalediting.light.files import write_lightmaps
 
-    light = torch.from_numpy(panorama_files.load(environment)).to(place)
+    light = torch.from_numpy(panorama_reading.read(environment, missing=missing)[0]).to(place)
     maps = lightmaps.bake(light, size)
     stored = lightmaps.bake(light, size, normalised=False) if unnormalised else maps
-    write_lightmaps(out, stored, environment, normalised=not unnormalised)
+    source, _ = panorama_reading.split(environment)
+    write_lightmaps(out, stored, source, normalised=not unnormalised)
     typer.echo(out)
     if picture is not None:
         pictures.draw_lightmaps(light, maps, environment.name, picture)

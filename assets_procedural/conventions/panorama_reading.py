@@ -18,7 +18,6 @@ One function, `read`, turns an .exr or .hdr file into linear Rec.709 radiance on
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import io
 import os
 import re
@@ -32,13 +31,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from assets_procedural.conventions.panorama import (
-    PanoramaError,
-    lookup,
-    shrink,
-    texel_directions,
-    texel_solid_angles,
-)
+from assets_procedural.conventions.errors import UserError
+from assets_procedural.conventions.panorama import resize, texel_solid_angles
 
 READER = 1
 """Version of this reader, kept in provenance: to be raised when a file gives other pixels."""
@@ -77,9 +71,14 @@ _ORIENTATIONS = {  # first axis, second axis -> (transpose, flip rows, flip colu
     "+X +Y": (True, True, False),
     "-X +Y": (True, True, True),
 }
+_EXR_MAGIC = b"\x76\x2f\x31\x01"
 _quiet = threading.Lock()
 
 Missing = Literal["refuse", "black"]
+
+
+class PanoramaError(UserError, ValueError):
+    """A panorama file that cannot be used; the message names file, fault and remedy."""
 
 
 @dataclass
@@ -98,28 +97,33 @@ class _Image:
 
 
 def read(
-    source: str | Path, *, max_width: int | None = None, missing: Missing = "refuse"
+    source: str | Path,
+    *,
+    max_width: int | None = None,
+    missing: Missing = "refuse",
+    largest: int | None = None,
 ) -> tuple[np.ndarray, dict[str, Any]]:
     """Read a panorama: (H, 2H, 3) float32, linear Rec.709, all values >= 0, and what was applied.
 
     `source` is a path, or "path#part/layer" where a file holds several images. A panorama wider
     than `max_width` is area-averaged. With `missing="black"` parts of the sphere that the file does
-    not hold are black. The facts are plain data: `reader`, and of the header what mattered.
+    not hold are black. `largest` bounds the bytes that all channels take once decoded. The facts
+    are plain data: `reader`, and of the header what mattered.
 
     Raises:
         PanoramaError: one line that names the file, the property and the remedy.
     """
-    path, choice = _split(source)
+    path, choice = split(source)
     if not path.is_file():
         raise PanoramaError(f"{path}: no such file; give an existing .exr or .hdr panorama")
     with path.open("rb") as file:
         magic = file.read(11)
-    if magic[:4] == b"\x76\x2f\x31\x01":
-        image = _read_exr(path, choice)
+    if magic[:4] == _EXR_MAGIC:
+        image = _read_exr(path, choice, largest)
     elif magic.startswith((b"#?RADIANCE", b"#?RGBE")):
         if choice:
             raise PanoramaError(f"{path}#{choice}: a .hdr file has no parts; leave out #{choice}")
-        image = _read_hdr(path)
+        image = _read_hdr(path, largest)
     else:
         raise _not_a_panorama(path)
     facts: dict[str, Any] = {"reader": READER, **image.facts}
@@ -129,16 +133,27 @@ def read(
     np.maximum(panorama, 0.0, out=panorama)
     _check_range(path, panorama)
     if max_width is not None and panorama.shape[1] > max_width:
-        panorama = _resize(panorama, max_width)
+        panorama = resize(panorama, max_width)
     return panorama, facts
 
 
-def load(path: str | Path, max_width: int | None = None) -> np.ndarray:
+def load(source: str | Path, max_width: int | None = None) -> np.ndarray:
     """The pixels alone of `read`."""
-    return read(path, max_width=max_width)[0]
+    return read(source, max_width=max_width)[0]
 
 
-def _split(source: str | Path) -> tuple[Path, str]:
+def check_size(path: Path, largest: int) -> None:
+    """Raise `PanoramaError` if all channels of a panorama decode to more than `largest` bytes."""
+    with path.open("rb") as file:
+        magic = file.read(4)
+    if magic == _EXR_MAGIC:
+        _exr_header(path, largest)
+    else:
+        _, _, (height, width), _ = _hdr_header(path)
+        _check_fits(path, 12 * height * width, largest)
+
+
+def split(source: str | Path) -> tuple[Path, str]:
     """The file and what stands behind its last #, if a file of the whole name does not exist."""
     text = os.fspath(source)
     head, mark, choice = text.rpartition("#")
@@ -170,7 +185,7 @@ def _not_a_panorama(path: Path) -> PanoramaError:
 # ---------------------------------------------------------------- OpenEXR
 
 
-def _read_exr(path: Path, choice: str) -> _Image:
+def _read_exr(path: Path, choice: str, largest: int | None) -> _Image:
     import OpenEXR
 
     with _without_chatter(), _damaged(path):
@@ -178,7 +193,10 @@ def _read_exr(path: Path, choice: str) -> _Image:
     layers = _layers(header)
     part, names = _choose(path, choice, layers)
     attributes = header.parts[part].header
-    _check_fits(path, header)
+    windows = [part.header["dataWindow"] for part in header.parts]
+    texels = [int(np.prod(high.astype(np.int64) - low + 1)) for low, high in windows]
+    channels = [len(part.header["channels"]) for part in header.parts]
+    _check_fits(path, 4 * sum(n * c for n, c in zip(texels, channels, strict=True)), largest)
     with _without_chatter(), _damaged(path):
         file = OpenEXR.File(str(path), separate_channels=True)
         if len(file.parts) != len(header.parts):  # it leaves out what it cannot read
@@ -219,6 +237,19 @@ def _read_exr(path: Path, choice: str) -> _Image:
         if alpha.pixels.shape == pixels.shape[:2] and empty.any():
             image.empty = empty
     return image
+
+
+def _exr_header(path: Path, largest: int | None) -> Any:
+    """A file opened without its pixels, which fit into memory."""
+    import OpenEXR
+
+    with _without_chatter(), _damaged(path):
+        file = OpenEXR.File(str(path), header_only=True)
+        windows = [part.header["dataWindow"] for part in file.parts]
+        texels = [int(np.prod(high.astype(np.int64) - low + 1)) for low, high in windows]
+        channels = [len(part.header["channels"]) for part in file.parts]
+    _check_fits(path, 4 * sum(n * c for n, c in zip(texels, channels, strict=True)), largest)
+    return file
 
 
 @dataclass(frozen=True)
@@ -305,30 +336,33 @@ def _exr_primaries(path: Path, attributes: dict[str, Any]) -> tuple[float, ...]:
     return next(reversed(said.values()), REC709)
 
 
-def _check_fits(path: Path, file: Any) -> None:
+def _check_fits(path: Path, decoded: int, largest: int | None) -> None:
     """One clear line, instead of a killed process, where a file does not fit into memory."""
-    needed = 0
-    for part in file.parts:
-        low, high = part.header["dataWindow"]
-        texels = int(high[0] - low[0] + 1) * int(high[1] - low[1] + 1)
-        needed += 4 * texels * len(part.header["channels"])
-    needed *= 2
-    with contextlib.suppress(ValueError, OSError, AttributeError):
-        free = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_AVPHYS_PAGES")
+    if largest is not None and decoded > largest:
+        raise PanoramaError(
+            f"{path}: is more than {largest / 1e9:.2g} GB once decoded; scale it down"
+        )
+    free = available_memory()
+    if free is not None and 2 * decoded > free:
+        raise PanoramaError(
+            f"{path}: takes {2 * decoded / 1e9:.1f} GB of memory, {free / 1e9:.1f} GB are free; "
+            "scale it down"
+        )
+
+
+def available_memory() -> int | None:
+    """Bytes that a process can still have; None where the system does not say."""
+    with contextlib.suppress(OSError, ValueError):
         for line in Path("/proc/meminfo").read_text().splitlines():
             if line.startswith("MemAvailable:"):
-                free = int(line.split()[1]) * 1024
-        if needed > free:
-            raise PanoramaError(
-                f"{path}: takes {needed / 1e9:.1f} GB of memory, {free / 1e9:.1f} GB are free; "
-                "scale it down"
-            )
+                return int(line.split()[1]) * 1024
+    return None
 
 
 # ---------------------------------------------------------------- Radiance
 
 
-def _read_hdr(path: Path) -> _Image:
+def _read_hdr(path: Path, largest: int | None) -> _Image:
     import OpenImageIO as oiio
 
     lines, orientation, (height, width), start = _hdr_header(path)
@@ -356,6 +390,7 @@ def _read_hdr(path: Path) -> _Image:
     primaries = REC709
     if texts := lines.get("PRIMARIES"):
         primaries = tuple(_floats(path, "PRIMARIES", texts[-1], 8))
+    _check_fits(path, 12 * height * width, largest)
     _check_scanlines(path, start, height, width)
     image = oiio.ImageInput.open(str(path))
     if image is None:
@@ -582,16 +617,6 @@ def _check_range(path: Path, panorama: np.ndarray) -> None:
         )
 
 
-def _resize(panorama: np.ndarray, width: int) -> np.ndarray:
-    height = width // 2
-    factor = panorama.shape[0] // height
-    if factor * height == panorama.shape[0]:
-        return shrink(panorama, factor)
-    # Not a whole factor: average four by four samples of each new texel.
-    fine = texel_directions(height * 4 if height * 4 <= panorama.shape[0] * 2 else height * 2)
-    return shrink(lookup(panorama, fine).astype(np.float32), fine.shape[0] // height)
-
-
 # ---------------------------------------------------------------- libraries
 
 
@@ -623,9 +648,3 @@ def _without_chatter() -> Iterator[None]:
         finally:
             os.dup2(kept, 2)
             os.close(kept)
-
-
-def digest(path: Path) -> str:
-    """Hex sha256 of a panorama's file."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -20,13 +20,8 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from assets_procedural.conventions.panorama_files import (
-    PanoramaError,
-    encode_header,
-    load,
-    read_header,
-    write,
-)
+from assets_procedural.conventions.panorama_files import encode_header, read_header, write
+from assets_procedural.conventions.panorama_reading import Missing, PanoramaError, read
 from assets_procedural.light.sky import SkyParameters, sky, sky_rand
 from assets_procedural.light.studio import StudioParameters, studio, studio_rand
 from assets_procedural.settings import Interval, Settings, interval
@@ -69,6 +64,9 @@ class EnvironmentSettings(Settings):
     """Rotation about the vertical axis, degrees, drawn per subject and environment."""
     exposure: Annotated[Interval, interval(-4.0, 4.0, "stops")] = (-0.5, 0.5)
     """Stops around the exposure metered on the face."""
+    missing: Missing = "refuse"
+    """What becomes of files in `folder` that leave a part of the sphere without pixels, such as a
+    cropped ground: they are refused, or the part is black."""
     max_width: int = Field(default=2048, ge=64, le=16384)
     """Wider panoramas of `folder` are area-averaged down to this width, pixels."""
 
@@ -118,7 +116,7 @@ def pool(settings: EnvironmentSettings, seed: int) -> tuple[EnvironmentSpec, ...
         for name in names:
             specs.append(_bundled(name, folder))
     if settings.folder is not None:
-        specs += _user_files(settings.folder, settings.max_width)
+        specs += _user_files(settings.folder, settings.max_width, settings.missing)
     for index in range(settings.skies):
         drawn: Settings = sky_rand(_stream(seed, "sky", index))
         specs.append(_procedural("sky", index, drawn))
@@ -134,11 +132,16 @@ def panorama_of(spec: EnvironmentSpec) -> np.ndarray:
     Raises:
         PanoramaError: its file cannot be used.
     """
+    return _made(spec)[0]
+
+
+def _made(spec: EnvironmentSpec) -> tuple[np.ndarray, dict[str, Any]]:
+    """The pixels of an environment, and what reading its file applied."""
     if spec.kind == "sky":
-        return sky(SkyParameters(**spec.parameters), PROCEDURAL_HEIGHT)
+        return sky(SkyParameters(**spec.parameters), PROCEDURAL_HEIGHT), {}
     if spec.kind == "studio":
-        return studio(StudioParameters(**spec.parameters), PROCEDURAL_HEIGHT)
-    return load(_file(spec), spec.parameters.get("max_width"))
+        return studio(StudioParameters(**spec.parameters), PROCEDURAL_HEIGHT), {}
+    return read(_file(spec), **spec.parameters)
 
 
 def write_pool(specs: Iterable[EnvironmentSpec], folder: Path) -> list[Path]:
@@ -162,7 +165,10 @@ def _store(folder: Path, spec: EnvironmentSpec) -> Path:
     path = folder / f"{spec.id}.exr"
     header = _header(spec)
     if not (path.is_file() and _same_header(path, header)):
-        write(path, panorama_of(spec), header)
+        pixels, facts = _made(spec)
+        # How the bundled ones are read never changes.
+        header |= {"environment_reading": facts} if spec.kind == "file" else {}
+        write(path, pixels, header)
     return path
 
 
@@ -221,7 +227,7 @@ def _bundled(name: str, folder: Path | None) -> EnvironmentSpec:
     )
 
 
-def _user_files(folder: Path, max_width: int) -> list[EnvironmentSpec]:
+def _user_files(folder: Path, max_width: int, missing: Missing) -> list[EnvironmentSpec]:
     if not folder.is_dir():
         raise PanoramaError(f"{folder}: no such folder; environments.folder must be a folder")
     files = sorted(p for p in folder.iterdir() if p.is_file() and not p.name.startswith("."))
@@ -244,11 +250,16 @@ def _user_files(folder: Path, max_width: int) -> list[EnvironmentSpec]:
                 kind="file",
                 source=path.name,
                 licence="unspecified (supplied by the user)",
-                parameters={"max_width": max_width},
+                parameters={"max_width": max_width} | _unless_default(missing),
                 path=path,
             )
         )
     return specs
+
+
+def _unless_default(missing: Missing) -> dict[str, str]:
+    """Nothing by default, so that provenance reads as before there was a choice."""
+    return {} if missing == "refuse" else {"missing": missing}
 
 
 def _procedural(

@@ -14,7 +14,7 @@ from typing import Protocol, cast
 
 import numpy as np
 
-from assets_procedural.conventions import panorama_files
+from assets_procedural.conventions import panorama_reading
 from synthgen.browse.folder import Folder, Refused, name
 
 ENTRY_POINTS = "synthgen.lightmaps"
@@ -36,9 +36,9 @@ def of_dataset(folder: Folder, identifier: str, height: int) -> np.ndarray:
     with _one_at_a_time:
         baker = _baker()
         try:
-            _check_size(path)
+            panorama_reading.check_size(path, _LARGEST)
             return baker.of_file(path, height)
-        except panorama_files.PanoramaError as error:
+        except panorama_reading.PanoramaError as error:
             raise Refused(str(error).replace(str(path), f"environment {identifier}"), 422) from None
 
 
@@ -52,10 +52,10 @@ def of_upload(content: bytes, height: int) -> np.ndarray:
         path = Path(temporary) / f"panorama{ending}"
         path.write_bytes(content)
         try:
-            _check_size(path)
             # At most as wide as what maps of 128 rows need by far.
-            return baker.of_pixels(panorama_files.load(path, max_width=2048), height)
-        except (panorama_files.PanoramaError, ValueError) as error:
+            pixels, _ = panorama_reading.read(path, max_width=2048, largest=_LARGEST)
+            return baker.of_pixels(pixels, height)
+        except (panorama_reading.PanoramaError, ValueError) as error:
             raise Refused(str(error).replace(str(path), "the file"), 422) from None
 
 
@@ -81,21 +81,3 @@ def _baker() -> Baker:
     raise Refused(
         f"light needs {missing}, which is not installed: pip install 'totalediting[model]'", 501
     )
-
-
-def _check_size(path: Path) -> None:
-    import OpenImageIO as oiio
-
-    image = oiio.ImageInput.open(str(path))
-    if image is None:
-        oiio.geterror()
-        return  # `panorama_files.load` says what is wrong
-    try:
-        spec = image.spec()
-    finally:
-        image.close()
-    if 4 * spec.width * spec.height * spec.nchannels > _LARGEST:
-        raise panorama_files.PanoramaError(
-            f"{path}: is {spec.width} x {spec.height} with {spec.nchannels} channels, more than "
-            f"{_LARGEST >> 30} GB once decoded; make it smaller"
-        )

@@ -10,7 +10,7 @@ import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
-from assets_procedural.conventions.panorama_files import PanoramaError, load
+from assets_procedural.conventions.panorama_reading import PanoramaError, read
 from assets_procedural.light.pool import EnvironmentSpec, pool
 from synthgen.dataset import ledger
 from synthgen.dataset.folder import DatasetFolder
@@ -42,7 +42,7 @@ def check_panorama(spec: EnvironmentSpec, file: str | Path) -> None:
     """Read a user's panorama: it must be whole, float, 2:1, finite and not black."""
     if spec.path is not None:
         try:
-            load(spec.path)
+            read(spec.path, **spec.parameters)
         except PanoramaError as error:
             raise _panorama_error(error, spec.path, file) from None
         except OSError as error:

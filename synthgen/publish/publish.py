@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import json
 import subprocess
@@ -112,6 +113,11 @@ def check(
         raise StorageError(
             f"{folder.description}: format {info.format}, this version writes {FORMAT}; "
             "use a new folder"
+        )
+    # With the defaults of settings that the job did not have yet.
+    with contextlib.suppress(ValueError):
+        info = info.model_copy(
+            update={"job": JobSpec.model_validate(info.job).model_dump(mode="json")}
         )
     stored = info.job | {"renderer": info.renderer}
     wanted = plan.job.model_dump(mode="json") | {"renderer": renderer}

@@ -14,7 +14,7 @@ import numpy as np
 from assets_procedural.assembly import pieces
 from assets_procedural.body.head import Bust, HeadModel
 from assets_procedural.body.landmarks import landmarks
-from assets_procedural.conventions import panorama_files
+from assets_procedural.conventions import panorama_reading
 from assets_procedural.conventions.camera import Camera, resolve
 from assets_procedural.conventions.colour import srgb_encode, to_bytes
 from synthgen.dataset.passes import PASSES
@@ -167,7 +167,7 @@ def _head_model() -> HeadModel:
 
 @lru_cache(maxsize=10)
 def _panorama(path: Path) -> np.ndarray:
-    return panorama_files.load(path)
+    return panorama_reading.load(path)
 
 
 class _Clock:

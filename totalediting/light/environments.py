@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from assets_procedural.conventions import panorama_files
+from assets_procedural.conventions import panorama_reading
 from assets_procedural.conventions.files import cache_folder, replacing, sha256
 from totalediting.light import lightmaps
 
@@ -54,14 +54,14 @@ def baked(path: Path) -> Tensor:
         PanoramaError: the file is missing or no panorama.
     """
     if not path.is_file():
-        raise panorama_files.PanoramaError(f"{path}: no such panorama; restore it")
+        raise panorama_reading.PanoramaError(f"{path}: no such panorama; restore it")
     kept = cache_folder() / "lightmaps" / f"{_digest(path)}-{ROWS}-v{_FORMAT}.npy"
     # A file that is missing, foreign or damaged is made again.
     with contextlib.suppress(OSError, ValueError):
         maps = np.load(kept, allow_pickle=False)
         if maps.shape == (len(lightmaps.LOBES), 3, ROWS, 2 * ROWS) and maps.dtype == np.float32:
             return torch.from_numpy(maps)
-    maps = lightmaps.bake(torch.from_numpy(panorama_files.load(path)), ROWS)
+    maps = lightmaps.bake(torch.from_numpy(panorama_reading.load(path)), ROWS)
     # Without a disk for it, memory has to do.
     with contextlib.suppress(OSError), replacing(kept) as file:
         np.save(file, maps.numpy())

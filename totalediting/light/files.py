@@ -30,8 +30,13 @@ def write_lightmaps(path: Path, lightmaps: torch.Tensor, source: Path, normalise
     """Store lightmaps (5, 3, H, 2H) atomically as EXR; `source` is the file they were baked from.
 
     Equal input gives equal bytes.
+
+    Raises:
+        InputError: a value is not finite.
     """
     pixels = lightmaps.movedim(-3, -1).cpu().numpy().astype(np.float32)
+    if not np.isfinite(pixels).all():
+        raise InputError(f"{source}: its maps are not finite; it holds values that are no light")
     with source.open("rb") as file:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
     header = {

@@ -4,20 +4,24 @@ from __future__ import annotations
 
 import hashlib
 import importlib.util
+import json
 from pathlib import Path
 
 import numpy as np
+import OpenEXR
 import pytest
 from panoramas import hdr, save
 from pydantic import ValidationError
 
 from assets_procedural.conventions import panorama as pano
-from assets_procedural.conventions import panorama_files
-from assets_procedural.conventions.panorama_files import PanoramaError
+from assets_procedural.conventions import panorama_files, panorama_reading
+from assets_procedural.conventions.panorama_reading import PanoramaError
 from assets_procedural.light.backdrop import backdrop, blur_radius
 from assets_procedural.light.pool import (
     EnvironmentSettings,
+    panorama_of,
     pool,
+    provenance,
     write_pool,
 )
 from assets_procedural.light.sky import SkyParameters, sky, sky_rand
@@ -43,7 +47,7 @@ def test_pool_lists_and_writes_every_kind(tmp_path: Path) -> None:
         header = panorama_files.read_header(path)
         assert header["environment_id"] == spec.id
         assert header["environment_licence"] == spec.licence
-        stored = panorama_files.load(path)
+        stored = panorama_reading.load(path)
         assert stored.shape[1] == 2 * stored.shape[0]
     user_header = panorama_files.read_header(paths[1])
     expected = hashlib.sha256((user / "My Garden.exr").read_bytes()).hexdigest()
@@ -52,7 +56,7 @@ def test_pool_lists_and_writes_every_kind(tmp_path: Path) -> None:
     paths[0].write_bytes(b"damaged")
     write_pool(specs, tmp_path / "pool")
     assert [p.stat().st_mtime_ns for p in paths][1:] == before[1:]
-    assert panorama_files.load(paths[0]).shape == (512, 1024, 3)
+    assert panorama_reading.load(paths[0]).shape == (512, 1024, 3)
 
 
 def test_procedural_pool_depends_on_seed_and_number_alone() -> None:
@@ -192,3 +196,35 @@ def test_blur_radius() -> None:
     assert blur_radius(85, 2.8, 1.2, 36, 512) == pytest.approx(0.5 * 2.314 / 36 * 512, rel=1e-3)
     with pytest.raises(ValueError, match="nearer"):
         blur_radius(85, 2.8, 0.05, 36, 512)
+
+
+def test_the_store_says_how_a_file_was_read(tmp_path: Path) -> None:
+    folder = tmp_path / "mine"
+    folder.mkdir()
+    save(folder / "a.exr", hdr())
+    (spec,) = pool(EnvironmentSettings(bundled=[], folder=folder), 0)
+    (path,) = write_pool([spec], tmp_path / "pool")
+    facts = json.loads(panorama_files.read_header(path)["environment_reading"])
+    assert facts["reader"] >= 1
+    before = path.stat().st_mtime_ns
+    write_pool([spec], tmp_path / "pool")
+    assert path.stat().st_mtime_ns == before
+
+
+def test_a_missing_part_is_black_where_the_job_says_so(tmp_path: Path) -> None:
+    folder = tmp_path / "mine"
+    folder.mkdir()
+    image = hdr(16)
+    window = np.array([0, 0], np.int32), np.array([31, 11], np.int32)
+    display = np.array([0, 0], np.int32), np.array([31, 15], np.int32)
+    header = {"dataWindow": window, "displayWindow": display, "type": OpenEXR.scanlineimage}
+    header["compression"] = OpenEXR.ZIP_COMPRESSION
+    OpenEXR.File(header, {c: image[:12, :, k].copy() for k, c in enumerate("RGB")}).write(
+        str(folder / "cropped.exr")
+    )
+    (refused,) = pool(EnvironmentSettings(bundled=[], folder=folder), 0)
+    with pytest.raises(PanoramaError, match="without pixels"):
+        panorama_of(refused)
+    (black,) = pool(EnvironmentSettings(bundled=[], folder=folder, missing="black"), 0)
+    assert not panorama_of(black)[12:].any()
+    assert provenance(black)["parameters"]["missing"] == "black"

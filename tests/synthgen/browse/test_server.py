@@ -387,7 +387,7 @@ def test_what_cannot_light_is_refused_in_one_line(ask: TestClient, monkeypatch: 
     assert answer.json()["error"].startswith("the file is neither .exr nor .hdr")
     answer = ask.post("/lightmaps", content=b"\x76\x2f\x31\x01" + b"\0" * 40)
     assert answer.status_code == 422
-    assert answer.json()["error"].startswith("the file: cannot be read")
+    assert answer.json()["error"].startswith("the file: is damaged")
     monkeypatch.setattr("synthgen.browse.light.LARGEST_UPLOAD", 10)
     assert ask.post("/lightmaps", content=b"#?RADIANCE and more").status_code == 413
     monkeypatch.setitem(sys.modules, "totalediting.light.arrays", None)

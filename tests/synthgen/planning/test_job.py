@@ -17,7 +17,7 @@ import OpenEXR
 import pytest
 from PIL import Image
 
-from assets_procedural.conventions.panorama_files import PanoramaError
+from assets_procedural.conventions.panorama_reading import PanoramaError
 from synthgen.dataset.folder import DatasetFolder
 from synthgen.errors import JobError
 from synthgen.farm import preflight

@@ -17,7 +17,7 @@ import torch
 from fake_renderer import CENTRE, RADIUS
 
 from assets_procedural.conventions.colour import srgb_decode
-from assets_procedural.conventions.panorama_files import PanoramaError
+from assets_procedural.conventions.panorama_reading import PanoramaError
 from assets_procedural.motion.poses import ARKIT_NAMES
 from synthgen.dataset import open_dataset
 from totalediting.data import shots

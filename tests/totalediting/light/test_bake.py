@@ -18,7 +18,7 @@ import torch
 from answer import Answer
 from PIL import Image
 
-from assets_procedural.conventions import panorama, panorama_files
+from assets_procedural.conventions import panorama, panorama_files, panorama_reading
 from assets_procedural.conventions.colour import KNEE
 from assets_procedural.light.pool import EnvironmentSettings, pool
 from totalediting import cli
@@ -58,7 +58,7 @@ def environment(tmp_path: Path) -> Path:
 
 
 def radiance_of(path: Path) -> torch.Tensor:
-    return torch.from_numpy(panorama_files.load(path))
+    return torch.from_numpy(panorama_reading.load(path))
 
 
 def test_help_is_quick_and_imports_nothing_heavy(totalediting: Run) -> None:

@@ -15,7 +15,7 @@ import pytest
 import stage_scenes as scenes
 import torch
 
-from assets_procedural.conventions import panorama_files
+from assets_procedural.conventions import panorama_reading
 from assets_procedural.light.pool import EnvironmentSettings, pool
 from totalediting.light import lightmaps
 from totalediting.light.ball import shade_ball
@@ -52,7 +52,7 @@ def bundled(name: str) -> Path:
 def shaded(path: Path, rotation: float, colour, k_d: float, k_s) -> np.ndarray:
     cosine, sine = math.cos(rotation), math.sin(rotation)
     back = torch.tensor([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]])
-    maps = lightmaps.bake(torch.from_numpy(panorama_files.load(path)), rotation=back)
+    maps = lightmaps.bake(torch.from_numpy(panorama_reading.load(path)), rotation=back)
     return shade_ball(maps, scenes.SIZE, colour, k_d, k_s)[0].numpy()
 
 
