@@ -1,40 +1,43 @@
 """Pairs of frames from real clips: videos, or folders of frames, of one person each.
 
 Everywhere below a folder, every video is a clip, and every folder that holds pictures is one, its
-frames in the order of their names. Frames are taken as they are: the largest square in the middle,
-resized to S, the side of the model's pictures. Optional, per clip:
+frames in the order of their names. Frames are taken as a player shows them (see `frames`): the
+largest square in the middle, resized to S, the side of the model's pictures. Optional, per clip:
 
     talk.mp4    talk.matte.mp4 (or .mkv …): the matte, white where the person is, frame by frame
                 talk.normal.mp4: camera-space normals n (x right, y up, z towards the camera) as
                 colours (n + 1) / 2, grey where unknown
     0001.png    0001.matte.png and 0001.normal.png, the same for a frame
 
-What has no file beside it is unknown: coverage 1 and `matted` False, normals 0.
+A layer without a note of its own that turns it is turned as its picture. What has no file beside
+it is unknown: coverage 1 and `matted` False, normals 0.
 """
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import av
 import numpy as np
 import torch
 from av.error import FFmpegError
-from PIL import Image
 from torch import Tensor
 
-from totalediting.data import shots
+from totalediting.data import frames, shots
 from totalediting.data.endless import EndlessDataset, Unreadable
+from totalediting.data.frames import UPRIGHT
 from totalediting.data.pairs import reason
 from totalediting.errors import InputError
 from totalediting.presets import Preset
 
+log = logging.getLogger(__name__)
+
 VIDEOS = (".mp4", ".mkv", ".mov", ".webm", ".avi", ".m4v")
-PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".bmp")
 LAYERS = ("matte", "normal")
 _DAMAGE = (ValueError, OSError, FFmpegError)
 
@@ -67,17 +70,24 @@ class Video:
 
     def count(self) -> int:
         """Number of frames; `ValueError` if there are fewer than 2, or the last is missing."""
-        with av.open(str(self.path)) as container:
-            frames, _ = _frames(container)
-        if frames < 2:
-            raise ValueError(f"has {frames} frames; a pair takes 2")
-        _decode(self.path, [frames - 1])
-        return frames
+        count = len(_index(self.path).pts)
+        if count < 2:
+            raise ValueError(f"has {count} frames; a pair takes 2")
+        frames.read_video(self.path, _index(self.path), [count - 1])
+        return count
 
-    def read(self, numbers: Sequence[int], layer: str | None = None) -> list[np.ndarray] | None:
-        """Frames (H, W, 3) uint8 by number, None for a layer that is not there."""
-        path = self.path if layer is None else self.layers.get(layer)
-        return None if path is None else _decode(path, numbers)
+    def read(self, numbers: Sequence[int]) -> list[Frame]:
+        """Frames by number."""
+        pictures, turn = frames.read_video(self.path, _index(self.path), numbers)
+        return [Frame(stored, turn) for stored in pictures]
+
+    def layer(self, name: str, number: int) -> Frame | None:
+        """A frame of a layer; None if there is no such layer."""
+        path = self.layers.get(name)
+        if path is None:
+            return None
+        (stored,), turn = frames.read_video(path, _index(path), [number])
+        return Frame(stored, turn)
 
 
 @dataclass(frozen=True)
@@ -92,14 +102,39 @@ class Frames:
             raise ValueError("has 1 frame; a pair takes 2")
         return len(self.paths)
 
-    def read(self, numbers: Sequence[int], layer: str | None = None) -> list[np.ndarray] | None:
-        """As of `Video`."""
-        paths = [self.paths[number] for number in numbers]
-        if layer is not None:
-            paths = [path.with_name(f"{path.stem}.{layer}.png") for path in paths]
-            if not all(path.exists() for path in paths):
-                return None
-        return [np.asarray(Image.open(path).convert("RGB")) for path in paths]
+    def read(self, numbers: Sequence[int]) -> list[Frame]:
+        """Frames by number."""
+        return [Frame(*frames.read_picture(self.paths[number])) for number in numbers]
+
+    def layer(self, name: str, number: int) -> Frame | None:
+        """A frame of a layer; None if there is no file of it."""
+        path = self.paths[number]
+        path = path.with_name(f"{path.stem}.{name}.png")
+        return Frame(*frames.read_picture(path)) if path.exists() else None
+
+
+class Frame(NamedTuple):
+    """A picture (h, w, 3) uint8 as stored, and how a player turns it."""
+
+    stored: np.ndarray
+    turn: frames.Turn
+
+    def shown(self) -> np.ndarray:
+        """The picture upright."""
+        return self.turn.pixels(self.stored)
+
+    def over(self, picture: Frame) -> Frame:
+        """A layer turned as its picture is, unless it says itself how it is turned.
+
+        Programs that make mattes and normals of stored pixels lose the note that turns them.
+        """
+        same = self.stored.shape == picture.stored.shape
+        return Frame(self.stored, picture.turn) if self.turn == UPRIGHT and same else self
+
+
+@lru_cache(maxsize=512)
+def _index(path: Path) -> frames.VideoIndex:
+    return frames.index_video(path)
 
 
 class Clips(EndlessDataset[ClipPair]):
@@ -114,7 +149,7 @@ class Clips(EndlessDataset[ClipPair]):
         if not found:
             raise InputError(
                 f"{folder}: no clip in it; videos end in {', '.join(VIDEOS)}, frames in "
-                f"{', '.join(PICTURES)}"
+                f"{', '.join(frames.PICTURES)}"
             )
         super().__init__(list(found), seed)
         self.clips = list(found.values())
@@ -138,80 +173,63 @@ class Clips(EndlessDataset[ClipPair]):
             app = (mot + 1) % count
         try:
             pictures = clip.read([app, mot, lit])
-            matte, normal = (clip.read([mot], layer) for layer in LAYERS)
+            matte, normal = (clip.layer(layer, mot) for layer in LAYERS)
         except _DAMAGE as error:
             raise Unreadable(item, reason(error)) from error
-        assert pictures is not None
-        app_image, mot_image, light_image = (_fit(picture, self.side) for picture in pictures)
+        app_image, mot_image, light_image = (_fit(frame.shown(), self.side) for frame in pictures)
+        matte, normal = (layer and layer.over(pictures[1]) for layer in (matte, normal))
         return ClipPair(
             app_image,
             mot_image,
             light_image,
             alpha=torch.ones(1, self.side, self.side)
             if matte is None
-            else _fit(matte[0], self.side).mean(0, keepdim=True),
+            else _fit(matte.shown(), self.side).mean(0, keepdim=True),
             matted=torch.tensor(matte is not None),
             normal=torch.zeros(3, self.side, self.side)
             if normal is None
-            else _normals(_fit(normal[0], self.side)),
+            else _normals(_fit(normal.turn.normals(normal.stored), self.side)),
             key=self.keys[item],
         )
 
 
 def _clips(folder: Path) -> dict[str, Video | Frames]:
-    """Path in the folder → clip, sorted."""
+    """Path in the folder → clip, sorted; links are followed, each folder once."""
     found: dict[str, Video | Frames] = {}
-    for place, _, names in os.walk(folder):
-        layers = {name for name in names if any(f".{layer}." in name for layer in LAYERS)}
-        here, pictures = Path(place), []
-        for name in sorted(set(names) - layers):
-            path = here / name
-            if path.suffix.lower() in VIDEOS:
-                beside = {
-                    layer: here / other
-                    for other in sorted(layers)
-                    for layer in LAYERS
-                    if other.startswith(f"{path.stem}.{layer}.")
-                }
-                found[str(path.relative_to(folder))] = Video(path, beside)
-            elif path.suffix.lower() in PICTURES:
-                pictures.append(path)
+    visited = set()
+    for place, folders, names in os.walk(folder, onerror=_unreadable, followlinks=True):
+        if (real := os.path.realpath(place)) in visited:
+            folders.clear()
+            continue
+        visited.add(real)
+        here, kept = Path(place), sorted(name for name in names if not frames.is_litter(name))
+        videos = [here / name for name in kept if Path(name).suffix.lower() in VIDEOS]
+        pictures = [here / name for name in kept if Path(name).suffix.lower() in frames.PICTURES]
+        videos, beside = _layered(videos)
+        for path in videos:
+            found[str(path.relative_to(folder))] = Video(path, beside.get(path.stem, {}))
+        pictures, _ = _layered(pictures)
         if pictures:
             found[str(here.relative_to(folder))] = Frames(tuple(pictures))
     return dict(sorted(found.items()))
 
 
-def _frames(container: Any) -> tuple[int, Any]:
-    """The number of frames that a video claims to have, and its stream of them."""
-    stream = container.streams.video[0] if container.streams.video else None
-    if stream is None or not stream.average_rate:
-        raise ValueError("has no video stream")
-    if stream.frames:
-        return stream.frames, stream
-    if stream.duration is not None:
-        seconds = float(stream.duration * stream.time_base)
-    else:
-        seconds = (container.duration or 0) / av.time_base
-    return int(seconds * float(stream.average_rate)), stream
+def _layered(paths: list[Path]) -> tuple[list[Path], dict[str, dict[str, Path]]]:
+    """Files that are no layer of another one, and layers by the stem of what they belong to."""
+    stems = {path.stem for path in paths}
+    layers: dict[str, dict[str, Path]] = {}
+    bases = []
+    for path in paths:
+        stem, _, layer = path.stem.rpartition(".")
+        if layer in LAYERS and stem in stems:
+            layers.setdefault(stem, {})[layer] = path
+        else:
+            bases.append(path)
+    return bases, layers
 
 
-def _decode(path: Path, numbers: Sequence[int]) -> list[np.ndarray]:
-    """Frames (H, W, 3) uint8 of a video, each by seeking to the key frame before it."""
-    with av.open(str(path)) as container:
-        total, stream = _frames(container)
-        stream.codec_context.thread_count = 1  # the loader's workers are the threads
-        period = 1.0 / float(stream.average_rate * stream.time_base)  # of a frame, in ticks
-        pictures = []
-        for number in numbers:
-            wanted = (stream.start_time or 0) + number * period
-            container.seek(int(wanted), stream=stream)
-            for frame in container.decode(stream):
-                if frame.pts is not None and frame.pts > wanted - 0.5 * period:
-                    pictures.append(frame.to_ndarray(format="rgb24"))
-                    break
-            else:
-                raise ValueError(f"{path.name} ends early: no frame {number} of {total}")
-        return pictures
+def _unreadable(error: OSError) -> None:
+    log.warning("%s: %s; the clips in it are left out", error.filename, error.strerror)
 
 
 def _fit(picture: np.ndarray, side: int) -> Tensor:

@@ -129,7 +129,12 @@ def index_video(path: Path) -> VideoIndex:
         raise ValueError(f"{path.name} is not a file")
     with av.open(str(path)) as container:
         stream = best_stream(container)
-        times = {p.pts for p in container.demux(stream) if p.pts is not None and not p.is_discard}
+        packets = [packet for packet in container.demux(stream) if packet.pts is not None]
+        if len(packets) < stream.frames:
+            raise ValueError(
+                f"{path.name} ends early: {len(packets)} of {stream.frames} frames are there"
+            )
+        times = {packet.pts for packet in packets if not packet.is_discard}
         return VideoIndex(stream.index, tuple(sorted(times)))
 
 
