@@ -15,7 +15,7 @@ from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
 
-import synthgen
+from assets_procedural import __version__
 from assets_procedural.conventions.files import sha256, write_atomically
 from synthgen.dataset import ledger, manifest
 from synthgen.dataset.codecs import encode_json
@@ -37,8 +37,8 @@ from synthgen.publish import card, croissant, licences
 @functools.cache
 def code_version() -> dict[str, str]:
     """Package version, and the commit if this is a checkout."""
-    version = {"package": "synthgen", "version": synthgen.__version__}
-    root = Path(synthgen.__file__).parents[1]
+    version = {"package": "synthgen", "version": __version__}
+    root = Path(__file__).parents[2]
     if not (root / ".git").exists():  # an installed package may lie in somebody else's checkout
         return version
     try:
