@@ -202,7 +202,7 @@ def test_the_store_says_how_a_file_was_read(tmp_path: Path) -> None:
     folder = tmp_path / "mine"
     folder.mkdir()
     save(folder / "a.exr", hdr())
-    (spec,) = pool(EnvironmentSettings(bundled=[], folder=folder), 0)
+    (spec,) = pool(EnvironmentSettings(bundled=(), folder=folder), 0)
     (path,) = write_pool([spec], tmp_path / "pool")
     facts = json.loads(panorama_files.read_header(path)["environment_reading"])
     assert facts["reader"] >= 1
@@ -222,9 +222,9 @@ def test_a_missing_part_is_black_where_the_job_says_so(tmp_path: Path) -> None:
     OpenEXR.File(header, {c: image[:12, :, k].copy() for k, c in enumerate("RGB")}).write(
         str(folder / "cropped.exr")
     )
-    (refused,) = pool(EnvironmentSettings(bundled=[], folder=folder), 0)
+    (refused,) = pool(EnvironmentSettings(bundled=(), folder=folder), 0)
     with pytest.raises(PanoramaError, match="without pixels"):
         panorama_of(refused)
-    (black,) = pool(EnvironmentSettings(bundled=[], folder=folder, missing="black"), 0)
+    (black,) = pool(EnvironmentSettings(bundled=(), folder=folder, missing="black"), 0)
     assert not panorama_of(black)[12:].any()
     assert provenance(black)["parameters"]["missing"] == "black"
