@@ -41,6 +41,7 @@ LOBE_INTEGRALS = (math.pi, *(2.0 * math.pi / (exponent + 1) for exponent in SHIN
 # has no end, a bare sun shows what is lost: 1e-3 of the map (relative L2), 3e-3 of its peak.
 _DEGREE = 64
 _FEWEST_ROWS = 64  # texels of lower panoramas are split: a lobe must not fall between them
+_BAND = 1 << 21  # texels whose Fourier transform is taken at once
 _FINE_ROWS = 128  # of the maps that a bake into another frame resamples
 
 
@@ -166,7 +167,11 @@ def _convolve(environment: torch.Tensor, height: int) -> torch.Tensor:
     if split > 1:
         light = light.repeat_interleave(split, 1).repeat_interleave(split, 2)
     analysis, synthesis, waves = _transforms(height, rows * split, light.dtype, light.device)
-    spectrum = torch.fft.rfft(light.movedim(-1, 1).contiguous())[..., : _DEGREE + 1]
+    # A band of rows at a time: of a large panorama neither a copy nor the whole spectrum is held.
+    bands = light.movedim(-1, 1).split(max(1, _BAND // light.shape[2]), 2)
+    spectrum = torch.cat(
+        [torch.fft.rfft(band.contiguous())[..., : _DEGREE + 1].clone() for band in bands], 2
+    )
     parts = torch.view_as_real(spectrum).permute(3, 2, 0, 1, 4)  # order, row, batch, colour, part
     with torch.autocast(light.device.type, enabled=False):
         rings = (synthesis @ (analysis @ parts.flatten(2))).unflatten(2, parts.shape[2:])
