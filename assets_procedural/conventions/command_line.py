@@ -90,6 +90,8 @@ def _user_line(error: Exception) -> str | None:
         case UnicodeEncodeError():
             shown = json.dumps(str(error.object)[:80])
             return f"{shown}: is no text in {error.encoding}; give another name"
+        case RuntimeError() if str(error).startswith("Symlink loop"):  # of Python before 3.13
+            return f"{one_line(error)}; mend the links"
         case ValueError() if "embedded null" in str(error):
             return "a path holds a null byte; give another"
         case ModuleNotFoundError() if extra := EXTRAS.get((error.name or "").split(".")[0]):
