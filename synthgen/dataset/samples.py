@@ -144,7 +144,6 @@ def _owned(array: np.ndarray) -> np.ndarray:
 
 
 _MEMBERS = {*MEMBER_OF.values()}
-_CHUNK = 1 << 22
 
 
 def decoder(name: str, data: bytes) -> Any:
@@ -161,11 +160,7 @@ def decoder(name: str, data: bytes) -> Any:
     picture = _LIGHT.fullmatch(stem) and extension in ("png", "exr")
     if not picture and member not in _MEMBERS:
         return None
-    content = bytes(data)
-    if isinstance(data, np.bytes_) and extension == "exr":
-        # numpy drops zero bytes at the end, at most a chunk of 16 rows.
-        content += bytes(_CHUNK)
-    fields = decode_fields({member: content})
+    fields = decode_fields({member: bytes(data)})
     if member == AOV_MEMBER:
         return {field: _owned(array) for field, array in fields.items()}
     value = fields[stem]
