@@ -25,7 +25,8 @@ def main(folder: str) -> None:
     torch.manual_seed(0)
     # Holds an index alone, and decodes only these fields: workers may share it.
     samples = open_dataset(folder, split="train").samples(("rgb_00", "albedo", "parts", "camera"))
-    loader = DataLoader(samples, batch_size=4, shuffle=True, num_workers=2)
+    # torch asks for no base class, whatever its types say.
+    loader = DataLoader(samples, batch_size=4, shuffle=True, num_workers=2)  # pyright: ignore
     network = torch.nn.Conv2d(3, 3, kernel_size=5, padding=2)
     optimiser = torch.optim.Adam(network.parameters(), lr=1e-2)
     for batch in loader:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import datasets
+import datasets.config
 import numpy as np
 import pytest
 import torch
@@ -71,8 +72,8 @@ def test_torch_collates_every_field_in_several_workers(small_dataset: Path):
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # of memory that may not be written, say
         # Started afresh, as on other systems than Linux: all that a worker needs goes to it.
-        context = "spawn"
-        loader = DataLoader(samples, 2, num_workers=2, multiprocessing_context=context)
+        spawned: dict[str, Any] = {"num_workers": 2, "multiprocessing_context": "spawn"}
+        loader = DataLoader(samples, 2, **spawned)  # type: ignore[arg-type]
         batches = list(loader)
     assert len(batches) == 3
     for number, batch in enumerate(batches):
