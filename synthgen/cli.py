@@ -37,6 +37,7 @@ Device = Annotated[farm.Device, typer.Option(help="What Blender renders on.")]
 Threads = Annotated[int, typer.Option(min=1, help="Threads per worker.")]
 Subset = Annotated[str | None, typer.Option(help="The subset, if the key occurs in more than one.")]
 Renderer = Annotated[str, typer.Option(hidden=True)]
+_OR_HERE = ", in the current folder where that cannot be written."
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON, with the keys listed above.")]
 
 
@@ -120,12 +121,7 @@ def plan(
         from synthgen.farm.measure import measure
 
         preflight.check_device(device)
-        with console.progress() as progress:
-            task = progress.add_task("measuring this machine", total=None)
-
-            def advance(done: int, total: int) -> None:
-                progress.update(task, completed=done, total=total)
-
+        with console.progress("measuring this machine") as advance:
             calibration.save(measure(the_plan, renderer, device, threads, advance))
     named = []
     if like is not None:
@@ -196,7 +192,7 @@ def render(
     if summary.rendered:
         _remember_costs(out, device, threads)
     screen = console.stdout()
-    done = f"{summary.rendered} subjects, {summary.frames} frames"
+    done = f"{console.count(summary.rendered, 'subject')}, {console.count(summary.frames, 'frame')}"
     took = console.duration(summary.seconds)
     screen.print(f"{done} in {took}" + ("; the dataset is complete" if summary.complete else ""))
     for entry in summary.failed:
@@ -223,26 +219,27 @@ def status(out: Dataset, as_json: AsJson = False) -> None:
         _print_json(_status_as_json(state))
         return
     screen = console.stdout()
-    table = Table(title=f"{state.name} in {out}", title_justify="left")
+    table = Table(title=console.escape(f"{state.name} in {out}"), title_justify="left")
     table.add_column("subset")
     for column in ("subjects", "done", "given up", "shards", "size"):
         table.add_column(column, justify="right")
     for s in state.subsets:
         counts = [f"{n:,}" for n in (s.subjects, s.done, s.failed, s.shards)]
-        table.add_row(s.name, *counts, console.size(s.bytes))
+        table.add_row(console.escape(s.name), *counts, console.size(s.bytes))
     screen.print(table)
     done, total = state.frames
-    line = f"{done:,} of {total:,} frames"
+    line = f"{done:,} of {console.count(total, 'frame')}"
     if state.frames_per_second:
         line += f", {state.frames_per_second * 3600:,.0f} frames per hour"
-        line += f" by {state.workers} workers"
+        line += f" by {console.count(state.workers, 'worker')}"
     if state.seconds_left is not None:
         line += f", {console.duration(state.seconds_left)} left"
     screen.print(line + ("; complete" if state.complete else ""))
     for entry in state.running:
-        screen.print(f"running: {entry.subset}/{entry.key} for {console.duration(entry.seconds)}")
+        where = console.escape(f"{entry.subset}/{entry.key}")
+        screen.print(f"running: {where} for {console.duration(entry.seconds)}")
     for entry in state.failures:
-        tries = f"{entry.attempts} attempts"
+        tries = console.count(entry.attempts, "attempt")
         screen.print(console.escape(f"failed: {entry.subset}/{entry.key}, {tries}: {entry.reason}"))
 
 
@@ -267,7 +264,7 @@ def show(
     key: Key,
     subset: Subset = None,
     output: Annotated[
-        Path | None, typer.Option("--output", metavar="PNG", help="Default: DIR-KEY.png.")
+        Path | None, typer.Option("--output", metavar="PNG", help=f"Default: DIR-KEY.png{_OR_HERE}")
     ] = None,
 ) -> None:
     """Draw one shot with all its passes and environments; prints the picture's path."""
@@ -281,7 +278,8 @@ def show(
 def sheet(
     out: Dataset,
     output: Annotated[
-        Path | None, typer.Option("--output", metavar="FILE", help=".png or .jpg; default DIR.png.")
+        Path | None,
+        typer.Option("--output", metavar="FILE", help=f".png or .jpg; default DIR.png{_OR_HERE}"),
     ] = None,
     portraits: Annotated[
         bool, typer.Option("--portraits", help="Only one picture of each of ten people.")
@@ -307,7 +305,7 @@ def rerender(
     from synthgen.farm.rerender import rerender as again
 
     preflight.check_device(device)
-    with console.stderr().status(f"rendering {key} again"):
+    with console.progress(f"rendering {key} again"):
         report = again(out, key, subset=subset, device=device, threads=threads)
     typer.echo(report)
 
@@ -316,34 +314,52 @@ def rerender(
 def query(
     out: Dataset,
     sql: Annotated[str, typer.Argument(metavar="SQL", help='"SELECT … FROM manifest".')],
+    format_: Annotated[
+        Literal["csv", "json", "parquet", "table"] | None,
+        typer.Option(
+            "--format",
+            show_default="by the ending of --output; a table on a terminal; else csv",
+            help="How to write the answer.",
+        ),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", metavar="FILE", show_default="stdout", help="File to write."),
+    ] = None,
 ) -> None:
     """Query the manifest in SQL (DuckDB)."""
-    from rich.table import Table
-
     from synthgen.dataset import manifest
+    from synthgen.publish import answers
 
-    found = manifest.query(out, sql)
-    table = Table(*[str(c) for c in found.column_names])
-    for row in found.rows:
-        table.add_row(*[console.escape(str(value)) for value in row])
-    console.stdout().print(table)
+    with manifest.answering(out, sql) as answer:
+        answers.write(answer, format_, output)
 
 
 @app.command()
 def export(
     out: Dataset,
     target: Annotated[
-        Path | None, typer.Option("--output", metavar="DIR", help="Default: DIR-FORMAT.")
+        Path | None, typer.Option("--output", metavar="DIR", help=f"Default: DIR-FORMAT{_OR_HERE}")
     ] = None,
     format_: Annotated[
         Literal["nerfstudio"], typer.Option("--format", help="The format that tool reads.")
     ] = "nerfstudio",
+    where: Annotated[
+        str | None,
+        typer.Option(metavar="SQL", help='Only shots such as "person_age_years > 60".'),
+    ] = None,
+    subset: Annotated[str | None, typer.Option(help="Only this subset.")] = None,
+    split: Annotated[
+        Literal["train", "validation", "test"] | None, typer.Option(help="Only this split.")
+    ] = None,
 ) -> None:
     """Export a dataset to another tool: a transforms.json per subject and environment."""
+    from synthgen.dataset import open_dataset
     from synthgen.publish.export import nerfstudio
 
     write = {"nerfstudio": nerfstudio}[format_]
-    typer.echo(write(out, target or _beside(out, f"-{format_}")))
+    chosen = open_dataset(out, subset=subset, split=split, where=where)
+    typer.echo(write(chosen, target or _beside(out, f"-{format_}")))
 
 
 @app.command()
@@ -373,8 +389,18 @@ def browse(
 
 
 def _beside(out: Path, ending: str) -> Path:
+    """Where a picture or an export goes by default: beside the dataset, or into this folder."""
+    import os
+
+    from synthgen.errors import JobError
+
     folder = out if out.name not in ("", "..") else out.resolve()
-    return folder.with_name(folder.name + ending)
+    target = folder.with_name((folder.name or "dataset") + ending)
+    for candidate in (target, Path(target.name)):
+        if os.access(candidate.parent, os.W_OK | os.X_OK):
+            return candidate
+    remedy = f"neither {target.parent} nor the current folder can be written; give another place"
+    raise JobError("--output", "", "", remedy)
 
 
 def _print_json(answer: dict[str, Any]) -> None:
@@ -440,6 +466,5 @@ def _check_panoramas(environments: list[EnvironmentSpec], out: Path, file: str) 
 
     folder = DatasetFolder(out)
     unseen = [e for e in environments if e.kind == "file" and not folder.environment(e.id).exists()]
-    with console.progress() as progress:
-        for environment in progress.track(unseen, description="reading panoramas"):
-            preflight.check_panorama(environment, file)
+    for environment in console.track(unseen, "reading panoramas"):
+        preflight.check_panorama(environment, file)

@@ -15,6 +15,7 @@ import page_driver
 import pytest
 from answer import Answer
 
+from assets_procedural.conventions import console
 from synthgen.farm.local import render_job
 
 # Tensors of tests are small: threads cost more than they save. Before torch is imported.
@@ -34,6 +35,8 @@ def run_main(
     """Runs a command line's `main` with arguments in this process, sparing a start of Python."""
     monkeypatch.setenv("NO_COLOR", "1")
     monkeypatch.setenv("COLUMNS", "200")
+    # Where a busy machine takes long, work would say how far it is, beside what a test looks for.
+    monkeypatch.setattr(console, "FIRST_LINE", 60.0)
 
     def run(main: Callable[[], None], *arguments: object) -> Answer:
         monkeypatch.setattr(sys, "argv", ["command", *map(str, arguments)])

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
+import json
 import logging
+import os
 import re
+import select
 import sys
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NoReturn
 
 from typer import Abort, BadParameter
 
 from assets_procedural.conventions import console
-from assets_procedural.conventions.errors import UserError, one_line
+from assets_procedural.conventions.errors import UserError, one_line, remedy
 
 EXTRAS = {
     "OpenImageIO": "render",
@@ -35,34 +40,94 @@ _UsageError: type[Exception] = next(
 )
 BLENDER_PYTHON = (3, 11)
 """The one Python that Blender's wheel is made for."""
+INTERRUPTED, NOBODY_READS = 130, 141
+"""Exit codes, as shells have them for SIGINT and SIGPIPE."""
 
 
 def run(app: Callable[..., Any]) -> None:
-    """Run a Typer app; user errors become one line on stderr and exit code 2."""
+    """Run a Typer app and end the process.
+
+    What the user or the machine is to blame for becomes one line on stderr with its remedy and exit
+    code 2; Ctrl-C is "interrupted" and 130; where nobody reads the answer any more (`| head`), the
+    command ends in silence with 141, as a program that SIGPIPE kills. Our own faults keep their
+    traceback.
+    """
+    _open_streams()
     set_up_logging()
     try:
         code = app(standalone_mode=False)
-    except _UsageError as error:
-        _end(_wrong_usage(error, sys.argv[1:]))
-    except (Abort, KeyboardInterrupt):
-        code = 130
-    except (UserError, OSError) as error:
-        _end(one_line(error))
-    except ModuleNotFoundError as error:
-        extra = EXTRAS.get((error.name or "").split(".")[0])
-        if extra is None:
+        sys.stdout.flush()
+    except Exception as error:
+        line = _user_line(error)
+        if line is None:
             raise
-        _end(_remedy(str(error.name), extra))
-    if code == 130:
-        console.stderr().print("interrupted")
-    sys.exit(code if isinstance(code, int) else 0)
+        _end(line)
+    except KeyboardInterrupt:
+        code = INTERRUPTED
+    except SystemExit as error:
+        code = error.code
+    if code == INTERRUPTED:
+        _say("interrupted")
+    _exit(code if isinstance(code, int) else 0)
+
+
+def _user_line(error: Exception) -> str | None:
+    """What a user is told about an error, None if it is a fault of ours; some end the process."""
+    match error:
+        case _UsageError():  # pyright: ignore[reportGeneralTypeIssues]
+            return _wrong_usage(error, sys.argv[1:])
+        case UserError():
+            return one_line(error)
+        case BrokenPipeError() if _nobody_reads():
+            _exit(NOBODY_READS)
+        case OSError():
+            return "; ".join(part for part in (one_line(error), remedy(error)) if part)
+        case MemoryError():
+            asked = f" ({one_line(error)})" if str(error) else ""
+            return f"not enough memory{asked}; close other programs, or take a larger machine"
+        case RecursionError():
+            return f"what was read is nested too deeply ({one_line(error)}); flatten it"
+        case UnicodeEncodeError():
+            shown = json.dumps(str(error.object)[:80])
+            return f"{shown}: is no text in {error.encoding}; give another name"
+        case ValueError() if "embedded null" in str(error):
+            return "a path holds a null byte; give another"
+        case ModuleNotFoundError() if extra := EXTRAS.get((error.name or "").split(".")[0]):
+            return _missing(str(error.name), extra)
+    if isinstance(error, Abort) or _is_interrupt(error):
+        _say("interrupted")
+        _exit(INTERRUPTED)
+    if _is_of_duckdb(error):
+        return f"{one_line(error)[:400]}; `synthgen verify DIR` finds what is damaged"
+    return None
+
+
+def _nobody_reads() -> bool:
+    """Whether the other end of stdout is closed."""
+    try:
+        ends = select.poll()
+        ends.register(sys.stdout.fileno(), 0)
+        return any(event & select.POLLERR for _, event in ends.poll(0))
+    except (OSError, ValueError, AttributeError):  # no file, or no poll on this system
+        return True
+
+
+def _is_interrupt(error: Exception) -> bool:
+    """Whether it is Ctrl-C as DuckDB reports it."""
+    ours = type(error) is RuntimeError or _is_of_duckdb(error)
+    return ours and "interrupted" in str(error).lower()
+
+
+def _is_of_duckdb(error: Exception) -> bool:
+    """Whether DuckDB raised it; its errors are about files and queries. Nothing is imported."""
+    return any(c.__name__ == "Error" and "duckdb" in c.__module__ for c in type(error).__mro__)
 
 
 def _wrong_usage(error: Any, arguments: list[str]) -> str:
     """What Typer says of a command line, led by the option and its value."""
     if not arguments:  # the help, as `no_args_is_help` wants it
         error.show()
-        sys.exit(error.exit_code)
+        _exit(error.exit_code)
     text = " ".join(error.format_message().split())
     text = text.removesuffix(".").replace("Value error, ", "").replace("Input should be", "must be")
     text = text.split(", unable to parse")[0]
@@ -83,7 +148,7 @@ def _value_of(option: str, arguments: list[str]) -> str | None:
     return None
 
 
-def _remedy(module: str, extra: str) -> str:
+def _missing(module: str, extra: str) -> str:
     if module == "bpy" and sys.version_info[:2] != BLENDER_PYTHON:
         this = "{}.{}".format(*sys.version_info)
         return (
@@ -123,6 +188,33 @@ class _ConsoleHandler(logging.Handler):
         console.stderr().print(level + console.escape(record.getMessage()), soft_wrap=True)
 
 
-def _end(line: str) -> None:
-    console.stderr().print(f"[bold red]error:[/] {console.escape(line)}", soft_wrap=True)
-    sys.exit(2)
+def _open_streams() -> None:
+    """Streams that take any text, also where they are closed (`>&-`) or know no UTF-8."""
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:
+            setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115
+        elif isinstance(stream, io.TextIOWrapper):
+            # Names of files may be any bytes; JSON has the same escapes.
+            stream.reconfigure(errors="backslashreplace")
+
+
+def _end(line: str) -> NoReturn:
+    _say(f"[bold red]error:[/] {console.escape(line)}")
+    _exit(2)
+
+
+def _say(markup: str) -> None:
+    with contextlib.suppress(OSError):  # stderr may be gone as well
+        console.stderr().print(markup, soft_wrap=True)
+
+
+def _exit(code: int) -> NoReturn:
+    """End the process; what cannot be written any more is dropped without a word."""
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except (OSError, ValueError):
+            with contextlib.suppress(OSError, ValueError):
+                os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+    sys.exit(code)

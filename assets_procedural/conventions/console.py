@@ -1,58 +1,145 @@
-"""How the command line speaks: consoles, progress bars, figures for people."""
+"""How the command line speaks: consoles, progress, counts and figures for people."""
 
 from __future__ import annotations
 
+import contextlib
+import re
 import sys
-from typing import TYPE_CHECKING
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator
+from typing import TYPE_CHECKING, NoReturn, TypeVar
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.progress import Progress
+
+Item = TypeVar("Item")
+
+FIRST_LINE = 0.5
+"""Seconds after which long work says for the first time how far it is."""
+LINE_EVERY = 30.0
+"""Seconds between its lines where stderr is no terminal."""
+_CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 
 
 def stdout() -> Console:
     """Where answers go."""
-    from rich.console import Console
-
     # A pipe has no width of its own, and 80 columns would break tables and paths.
-    return Console(highlight=False, width=None if sys.stdout.isatty() else 160)
+    return _console(highlight=False, width=None if sys.stdout.isatty() else 160)
 
 
 def stderr() -> Console:
     """Where errors and progress go."""
+    return _console(stderr=True, highlight=False)
+
+
+def _console(**options: bool | int | None) -> Console:
     from rich.console import Console
 
-    return Console(stderr=True, highlight=False)
+    class Pipe(Console):
+        """A console that leaves it to `command_line.run` to end where nobody reads any more."""
+
+        def on_broken_pipe(self) -> NoReturn:
+            raise BrokenPipeError
+
+    return Pipe(**options)  # pyright: ignore[reportArgumentType]
 
 
-def progress() -> Progress:
-    """A progress bar on stderr, silent when that is no terminal."""
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
+# ---------------------------------------------------------------- progress
 
-    console = stderr()
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-        console=console,
-        disable=not console.is_terminal,
-    )
+
+def track(items: Iterable[Item], what: str, total: int | None = None) -> Iterator[Item]:
+    """Hand out `items` and show how many are done; `total` is their number, by default `len`."""
+    if total is None and hasattr(items, "__len__"):
+        total = len(items)  # pyright: ignore[reportArgumentType]
+    with progress(what, total) as advance:
+        for done, item in enumerate(items):
+            yield item
+            advance(done + 1, total)
+
+
+@contextlib.contextmanager
+def progress(what: str, total: int | None = None) -> Iterator[Callable[[int, int | None], None]]:
+    """Show on stderr how far long work is; it calls what it gets with (done, total).
+
+    A bar on a terminal, gone when the work ends; elsewhere a line at once and every `LINE_EVERY`
+    seconds, whether or not anything was done meanwhile. Short work says nothing.
+    """
+    state, started = (0, total), time.monotonic()
+
+    def shown() -> str:
+        done, total = state
+        elapsed = time.monotonic() - started
+        if total is None:
+            return f"{what}: {duration(elapsed)} so far"
+        left = f", {duration(elapsed / done * (total - done))} left" if 0 < done < total else ""
+        return f"{what}: {done:,} of {total:,}{left}"
+
+    if not sys.stderr.isatty():
+        with lines(shown):
+
+            def note(done: int, total: int | None) -> None:
+                nonlocal state
+                state = (done, total)
+
+            yield note
+        return
+    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    columns = (SpinnerColumn(), BarColumn(), TextColumn("{task.fields[text]}"), TimeElapsedColumn())
+    with Progress(*columns, console=stderr(), transient=True) as bar:
+        task = bar.add_task("", total=total, text=escape(shown()))
+
+        def update(done: int, total: int | None) -> None:
+            nonlocal state
+            state = (done, total)
+            bar.update(task, completed=done, total=total, text=escape(shown()))
+
+        yield update
+
+
+@contextlib.contextmanager
+def lines(text: Callable[[], str]) -> Iterator[None]:
+    """Print `text()` on stderr after `FIRST_LINE` seconds and then every `LINE_EVERY`.
+
+    It is called in a thread of its own.
+    """
+    ended = threading.Event()
+
+    def speak() -> None:
+        wait = FIRST_LINE
+        while not ended.wait(wait):
+            with contextlib.suppress(OSError, ValueError):  # nobody listens any more
+                print(printable(text()), file=sys.stderr, flush=True)
+            wait = LINE_EVERY
+
+    speaker = threading.Thread(target=speak, daemon=True)
+    speaker.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        speaker.join()
+
+
+# ---------------------------------------------------------------- words
 
 
 def escape(text: str) -> str:
-    """Text in which rich sees no markup."""
+    """Text in which rich sees no markup and a terminal no commands."""
     from rich.markup import escape
 
-    return escape(text)
+    return escape(printable(text))
+
+
+def printable(text: str) -> str:
+    r"""Words of somebody else for a terminal: control characters as \x1b, so that it obeys none."""
+    return _CONTROL.sub(lambda found: f"\\x{ord(found[0]):02x}", text)
+
+
+def count(number: int, what: str, several: str = "") -> str:
+    """A number of things: 1 subject, 1,200 subjects; `several` is a plural that takes no s."""
+    return f"{number:,} {what if number == 1 else several or what + 's'}"
 
 
 def duration(seconds: float) -> str:

@@ -2,5 +2,6 @@
 
 from synthgen.dataset.reading import Dataset, open_dataset
 from synthgen.dataset.records import FORMAT
+from synthgen.dataset.samples import Samples, decoder
 
-__all__ = ["FORMAT", "Dataset", "open_dataset"]
+__all__ = ["FORMAT", "Dataset", "Samples", "decoder", "open_dataset"]

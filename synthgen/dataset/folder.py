@@ -40,6 +40,13 @@ class StorageError(UserError, RuntimeError):
     """A dataset folder that cannot be used as asked; the message is one line for the user."""
 
 
+class DamageError(StorageError, ValueError):
+    """A file of a dataset that is missing or damaged; the message says how to find out more."""
+
+    def __init__(self, folder: object, what: str) -> None:
+        super().__init__(f"{what}; `synthgen verify {folder}` lists what is damaged")
+
+
 @dataclass(frozen=True)
 class ShardFiles:
     """A shard: its tar, the record that marks it as committed, its rows of the manifest."""
@@ -67,12 +74,16 @@ class SubjectFiles:
 class DatasetFolder:
     """The folder of a dataset, by the names of what lies in it.
 
-    It stands for its path (`os.PathLike`, `str()`). Methods raise `StorageError` with one line for
-    a name that is not one; nothing is read or written.
+    It stands for its path (`os.PathLike`, `str()`), which must be text: DuckDB takes no other.
+    Methods raise `StorageError` with one line for a name that is not one; nothing is read or
+    written.
     """
 
     def __init__(self, root: Place) -> None:
         self.root = Path(root)
+        if not _is_text(str(self.root)):
+            shown = json.dumps(str(self.root))
+            raise StorageError(f"{shown}: the path is no UTF-8 text; rename the folder")
         self.description = self.root / "dataset.json"
         self.card = self.root / "README.md"
         self.croissant = self.root / "croissant.json"
@@ -202,6 +213,11 @@ class DatasetFolder:
         if not NAME.fullmatch(name):
             raise StorageError(f"{self}: {not_a_name(name, what)}")
         return name
+
+
+def _is_text(path: str) -> bool:
+    """Whether a path can be told to other programs: no null byte, none that is not UTF-8."""
+    return "\0" not in path and not any("\ud800" <= character <= "\udfff" for character in path)
 
 
 def subset_of(relative: str) -> str:

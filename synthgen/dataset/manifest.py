@@ -6,9 +6,11 @@ Its columns are those of `synthgen.dataset.columns`.
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import json
 import os
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,7 +19,7 @@ from assets_procedural.conventions.files import replacing
 from synthgen.dataset import ledger
 from synthgen.dataset.codecs import encode_json
 from synthgen.dataset.columns import schema, schema_of
-from synthgen.dataset.folder import DatasetFolder, Place, StorageError
+from synthgen.dataset.folder import DamageError, DatasetFolder, Place, StorageError
 from synthgen.dataset.records import read_description
 
 if TYPE_CHECKING:
@@ -48,6 +50,13 @@ def write_part(path: Path, rows: list[dict[str, Any]]) -> None:
         _write_parquet(path, _json_source([source], schema_of(rows)))
     finally:
         source.unlink(missing_ok=True)
+
+
+def write_answer(path: Path, rows: Path, columns: dict[str, str]) -> None:
+    """Make a Parquet file of JSON lines; `columns` has DuckDB's type of each, in order."""
+    described = ", ".join(f"'{_escape(name)}': '{_escape(kind)}'" for name, kind in columns.items())
+    source = f"read_json({_literal([rows])}, format = 'newline_delimited'"
+    _write_parquet(path, f"SELECT * FROM {source}, columns = {{{described}}})")
 
 
 def read_rows(path: Path, shard: str | None = None) -> list[dict[str, Any]]:
@@ -132,9 +141,18 @@ def connect(out: Place) -> duckdb.DuckDBPyConnection:
     """A DuckDB connection with a view per subset and `manifest` over all of them.
 
     Finished subjects that wait for their shard are included. Raises `StorageError` if `out` is no
-    dataset or holds no finished subject.
+    dataset, holds no finished subject, or its manifest is damaged.
     """
-    folder = DatasetFolder(out)
+    import duckdb
+
+    try:
+        return _connect(DatasetFolder(out))
+    except (duckdb.Error, ValueError) as error:
+        reason = f"{out}: the manifest cannot be read: {' '.join(str(error).split())[:200]}"
+        raise DamageError(out, reason) from None
+
+
+def _connect(folder: DatasetFolder) -> duckdb.DuckDBPyConnection:
     info = read_description(folder)
     connection = _database()
     views = []
@@ -152,6 +170,32 @@ def connect(out: Place) -> duckdb.DuckDBPyConnection:
         raise StorageError(f"{folder}: no subject is finished yet")
     connection.execute(f"CREATE VIEW manifest AS {' UNION ALL BY NAME '.join(views)}")
     return connection
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a query answers: names and DuckDB types of the columns, and the rows, once."""
+
+    column_names: list[str]
+    column_types: list[str]
+    chunks: Iterator[list[tuple[Any, ...]]]
+
+
+@contextlib.contextmanager
+def answering(out: Place, sql: str) -> Iterator[Answer]:
+    """Run SQL as `query` does, and hand its rows out in chunks; memory stays bounded."""
+    import duckdb
+
+    with connect(out) as connection:
+        try:
+            found = connection.execute(sql)
+            if found is None:  # nothing but spaces or a comment
+                raise StorageError('query: is empty; write "SELECT … FROM manifest"')
+            columns = found.description or ()
+            chunks = iter(lambda: found.fetchmany(ROWS_PER_GROUP), [])
+            yield Answer([str(c[0]) for c in columns], [str(c[1]) for c in columns], chunks)
+        except duckdb.Error as error:
+            raise StorageError(f"query: {' '.join(str(error).split())}") from None
 
 
 @dataclass(frozen=True)

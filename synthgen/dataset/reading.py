@@ -8,18 +8,38 @@ Needs neither Blender nor torch. Of a dataset that is still being rendered, it r
 
 from __future__ import annotations
 
+import contextlib
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from assets_procedural.conventions.errors import one_line
 from synthgen.dataset import manifest
 from synthgen.dataset.codecs import decode_exr
-from synthgen.dataset.folder import DatasetFolder, Place, StorageError, subset_of
+from synthgen.dataset.folder import (
+    DamageError,
+    DatasetFolder,
+    Place,
+    StorageError,
+    brief,
+    subset_of,
+)
 from synthgen.dataset.records import Description, read_description
+from synthgen.dataset.samples import Samples
 from synthgen.dataset.shards import MEMBER_OF, decode, decode_fields, read_sample
 from synthgen.dataset.shot import Shot
+
+_PICTURE = re.compile(r"(rgb|hdr)_\d{2,}")
+_GONE = (FileNotFoundError, NotADirectoryError, IsADirectoryError)
+
+
+class UnknownEnvironment(StorageError, KeyError):
+    """No environment of that id; the message is one line for the user."""
+
+    __str__ = Exception.__str__  # not that of KeyError, which quotes
 
 
 @dataclass(frozen=True)
@@ -60,23 +80,44 @@ class Dataset:
         """A shot by position or by key ("s000123_p04", or "multiview/s000123_p04").
 
         Raises `IndexError` or `KeyError` if there is none, `KeyError` if a key is ambiguous,
-        `ValueError` if its bytes are damaged.
+        `DamageError`, a `ValueError`, if its bytes are missing or damaged.
         """
         position = self.position(which)
-        return decode(str(self.index.key[position]), self._members(position))
+        with self._telling_of_damage(position):
+            return decode(str(self.index.key[position]), self._members(position))
 
     def find(self, key: str) -> Shot:
         """`dataset[key]` for a key that a user typed: raises `StorageError` with one line."""
         try:
             return self[key]
-        except (KeyError, ValueError) as error:
+        except KeyError as error:
             raise StorageError(f"{self.folder}: {error.args[0]}") from None
 
     def read(self, which: int | str, fields: tuple[str, ...]) -> dict[str, Any]:
-        """Decode some fields only: `rgb_00`, `hdr_00`, `albedo`, `normal`, `depth`, `meta`, …"""
+        """Decode some fields only: `rgb_00`, `hdr_00`, `albedo`, `normal`, `depth`, `meta`, …
+
+        Raises as `dataset[which]` does, and `KeyError` for a field that the shot does not have.
+        """
+        for field in fields:
+            if field not in MEMBER_OF and not _PICTURE.fullmatch(field):
+                raise KeyError(f"no field {field}")
         wanted = {MEMBER_OF.get(f, f + (".exr" if f.startswith("hdr") else ".png")) for f in fields}
-        decoded = decode_fields(self._members(self.position(which), wanted))
+        position = self.position(which)
+        with self._telling_of_damage(position):
+            decoded = decode_fields(self._members(position, wanted))
         return {name: decoded[name] for name in fields}
+
+    def samples(self, fields: tuple[str, ...] | list[str]) -> Samples:
+        """The chosen fields of every shot as arrays, for training; see `Samples`.
+
+        Raises `StorageError` for a field that not all shots have.
+        """
+        return Samples(self, tuple(fields))
+
+    def lights(self) -> int:
+        """Environments that every shot has at least; 0 if there is no shot."""
+        subsets = {subset_of(shard) for shard in self.index.shards}
+        return min((self.description.plan[s].environments for s in subsets), default=0)
 
     def keys(self) -> list[str]:
         """ "<subset>/<key>" of all shots in order."""
@@ -93,13 +134,22 @@ class Dataset:
     def environment(self, identifier: str) -> np.ndarray:
         """A panorama, (H, 2H, 3) float32, linear Rec.709 radiance.
 
-        Raises `KeyError` if the dataset has no environment of that id.
+        Raises `UnknownEnvironment`, a `KeyError`, if the dataset has none of that id, `DamageError`
+        if its file is missing or damaged.
         """
         path = self.folder.environment(identifier)
         if not path.exists():
-            raise KeyError(identifier)
-        planes = decode_exr(path.read_bytes())
-        return np.stack([planes[c] for c in "RGB"], -1).astype(np.float32)
+            known = {str(e.get("id")) for e in self.description.environments}
+            if identifier not in known:
+                raise UnknownEnvironment(f"{self.folder}: no environment {brief(identifier)}")
+            raise DamageError(self.folder, f"{path}: is missing")
+        content = path.read_bytes()
+        try:
+            planes = decode_exr(content)
+            return np.stack([planes[c] for c in "RGB"], -1).astype(np.float32)
+        except Exception as error:  # OpenEXR raises what it likes on damaged bytes
+            reason = f"{path}: does not decode: {one_line(error)[:160]}"
+            raise DamageError(self.folder, reason) from error
 
     def position(self, which: int | str) -> int:
         """The place of a shot given by place or key; raises as `dataset[which]` does."""
@@ -118,6 +168,18 @@ class Dataset:
             options = " or ".join(f"{self.index.subset(i)}/{name}" for i in found)
             raise KeyError(f"{which} is ambiguous: say {options}")
         return found[0]
+
+    @contextlib.contextmanager
+    def _telling_of_damage(self, position: int) -> Iterator[None]:
+        """Whatever goes wrong while a shot is read, as the one line that says which shot it is."""
+        try:
+            yield
+        except (ValueError, KeyError, StorageError, *_GONE) as error:
+            reason = (
+                f"{error.args[0]} is missing" if isinstance(error, KeyError) else one_line(error)
+            )
+            where = f"{self.index.subset(position)}/{self.index.key[position]}"
+            raise DamageError(self.folder, f"{self.folder}: {where}: {reason}") from error
 
     def _members(self, position: int, wanted: set[str] | None = None) -> dict[str, bytes]:
         index = self.index
@@ -159,6 +221,9 @@ def open_dataset(
             )
             return Dataset(folder, description, _index(rows))
         except duckdb.Error as error:
+            if where is None:
+                reason = f"{folder}: the manifest cannot be read: {one_line(error)[:200]}"
+                raise DamageError(folder, reason) from None
             raise StorageError(f"where: {' '.join(str(error).split())}") from None
 
 

@@ -93,8 +93,7 @@ def _write_panoramas(folder: DatasetFolder, specs: Sequence[EnvironmentSpec]) ->
     if folder.has_results():
         specs = [spec for spec in specs if not folder.environment(spec.id).exists()]
     if specs:
-        with console.progress() as bar:
-            write_pool(bar.track(specs, description="storing panoramas"), folder.environments)
+        write_pool(console.track(specs, "storing panoramas"), folder.environments)
 
 
 @contextlib.contextmanager

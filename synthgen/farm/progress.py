@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
 import os
 import sys
@@ -14,19 +15,19 @@ from synthgen.dataset import ledger
 from synthgen.dataset.records import RunNote
 from synthgen.farm.commit import frames_done
 from synthgen.farm.state import RunState
-
-_LINE_EVERY = 60.0  # seconds
+from synthgen.planning.plan import subject_key
 
 
 @contextlib.contextmanager
-def shown(run: RunState) -> Iterator[Callable[[], None]]:
-    """Show rate and time left when called: as a bar, in a log as a line a minute, on stderr."""
-    total = sum(
-        len(s.subjects) * (spec.shots * spec.environments)
-        for s in run.shards
-        for spec in [run.plan.job.subsets[s.subset]]
-    )
-    before = frames_done(run.folder, run.plan, run.shards)
+def shown(run: RunState, limit: int | None = None) -> Iterator[Callable[[], None]]:
+    """Show rate and time left on stderr when called: as a bar, or, in a log, as lines.
+
+    Of a run that `limit` bounds, only the subjects that it renders count; of others, what is on
+    disk does too.
+    """
+    to_do = sum(itertools.islice(_frames_to_do(run), limit))
+    before = 0 if limit is not None else frames_done(run.folder, run.plan, run.shards)
+    total = before + to_do
 
     def done() -> int:
         return before + run.summary.frames
@@ -36,13 +37,13 @@ def shown(run: RunState) -> Iterator[Callable[[], None]]:
         ready = any(slot.ready for slot in run.slots.values())
         text = "first subjects" if ready else "starting workers"
         if new:
-            left = (total - before - new) * elapsed / new
+            left = max(to_do - new, 0) * elapsed / new
             text = f"{new / elapsed:.2f} frames/s, {console.duration(left)} left"
         bad = len(ledger.failures(run.folder)) if run.streak else 0
         return text + (f", {bad} failed" if bad else "")
 
     if not sys.stderr.isatty():
-        yield _lines(lambda: f"rendering: {done():,} of {total:,} frames, {pace()}")
+        yield _lines(lambda: f"rendering: {done():,} of {console.count(total, 'frame')}, {pace()}")
         return
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
@@ -53,19 +54,32 @@ def shown(run: RunState) -> Iterator[Callable[[], None]]:
         TextColumn("{task.fields[note]}"),
         TimeElapsedColumn(),
     )
-    with Progress(*columns, console=console.stderr()) as bar:
+    with Progress(*columns, console=console.stderr(), transient=True) as bar:
         task = bar.add_task("rendering", total=total, completed=before, note="starting workers")
         yield lambda: bar.update(task, completed=done(), note=pace())
 
 
+def _frames_to_do(run: RunState) -> Iterator[int]:
+    """Frames of each subject that is still to be rendered, in the order of the run."""
+    for shard in run.shards:
+        if ledger.shard_record(run.folder, shard.name) is not None:
+            continue
+        spec = run.plan.job.subsets[shard.subset]
+        for key in map(subject_key, shard.subjects):
+            if ledger.waiting(run.folder, shard.subset, key) is None and not ledger.quarantined(
+                run.folder, shard.subset, key
+            ):
+                yield spec.shots * spec.environments
+
+
 def _lines(text: Callable[[], str]) -> Callable[[], None]:
-    """Prints `text` when it is called, at most every `_LINE_EVERY` seconds."""
-    last = time.monotonic()
+    """Prints `text` when it is called, at `console.FIRST_LINE` and every `console.LINE_EVERY`."""
+    due = time.monotonic() + console.FIRST_LINE
 
     def advance() -> None:
-        nonlocal last
-        if time.monotonic() - last >= _LINE_EVERY:
-            last = time.monotonic()
+        nonlocal due
+        if time.monotonic() >= due:
+            due = time.monotonic() + console.LINE_EVERY
             print(text(), file=sys.stderr, flush=True)
 
     return advance

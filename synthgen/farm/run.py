@@ -70,7 +70,7 @@ class Run(RunState):
         tasks = self._tasks()
         handed = 0
         try:
-            with progress.shown(self) as advance:
+            with progress.shown(self, limit) as advance:
                 while True:
                     while sum(s.task is not None for s in self.slots.values()) < self.workers:
                         # After a failure, another subject first: if that fails too, the machine

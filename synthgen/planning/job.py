@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 import json
 import re
@@ -13,6 +14,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, ValidationError, field_validator, model_validator
 
 from assets_procedural.conventions.camera import LANDMARK_MARGIN, SENSOR_MM
+from assets_procedural.conventions.errors import one_line
 from assets_procedural.light.pool import EnvironmentSettings
 from assets_procedural.motion.poses import PoseSettings
 from assets_procedural.people.person_sampling import PeopleSettings
@@ -189,18 +191,20 @@ def load_job(job: str | Path, overrides: Sequence[str] = ()) -> JobSpec:
     """
     path = job_file(job)
     try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
+        data = _toml(path.read_text(encoding="utf-8-sig"))  # Windows' editors begin with a mark
     except FileNotFoundError:
         raise JobError(path, "", "no such job file", _nearest_job(path)) from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise JobError(path, "", "cannot be read as text", " ".join(str(error).split())) from None
+    except OSError as error:
+        raise JobError(path, "", "cannot be read", error.strerror or one_line(error)) from None
+    except UnicodeDecodeError as error:
+        raise JobError(path, "", "cannot be read as text", f"save it as UTF-8 ({error})") from None
     except tomllib.TOMLDecodeError as error:
-        raise JobError(path, "", "is not valid TOML", " ".join(str(error).split())) from None
+        raise JobError(path, "", "is not valid TOML", one_line(error)) from None
     overridden = [_override(data, text) for text in overrides]
     spec = parse_job(data, path, overridden)
     folder = spec.environments.folder
     if folder is not None:
-        folder = (path.parent / folder.expanduser()).resolve()
+        folder = _absolute(folder, path)
         spec = spec.model_copy(
             update={"environments": spec.environments.model_copy(update={"folder": folder})}
         )
@@ -211,9 +215,41 @@ def parse_job(data: dict[str, Any], file: str | Path, overridden: Iterable[str] 
     """Validate plain data. Keys in `overridden` are reported as coming from `--set`."""
     try:
         # JSON mode, because strict mode would refuse TOML's lists where tuples are wanted.
-        return JobSpec.model_validate_json(json.dumps(data, default=str), strict=True)
+        text = json.dumps(data, default=str)
+    except (ValueError, RecursionError):  # hexadecimal may have more digits than decimal
+        where = next(iter(overridden), "") and "--set"
+        remedy = "a number is too long, or a value is nested too deeply"
+        raise JobError(where or file, "", "", remedy) from None
+    try:
+        return JobSpec.model_validate_json(text, strict=True)
     except ValidationError as error:
         raise explain(error, data, file, JobSpec, tuple(overridden)) from None
+
+
+def _toml(text: str) -> dict[str, Any]:
+    """`tomllib.loads`, which lets other errors through; this one raises `TOMLDecodeError` alone."""
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError:
+        raise
+    except RecursionError:
+        raise tomllib.TOMLDecodeError("brackets are nested too deeply") from None
+    except ValueError as error:  # a number of more than 4300 digits, a date that there is not
+        reason = "a number is too long" if "digits" in str(error) else str(error)
+        raise tomllib.TOMLDecodeError(reason) from None
+
+
+def _absolute(folder: Path, job: Path) -> Path:
+    """A folder that a job names: from the home of a user (~), or else from the job's own folder."""
+    try:
+        return (job.parent / folder.expanduser()).resolve()
+    except RuntimeError:
+        remedy = "there is no such user; give the folder's full path"
+    except ValueError:
+        remedy = "holds a null byte; give another"
+    except OSError as error:  # links in a circle, a name that is too long
+        remedy = error.strerror or one_line(error)
+    raise JobError(job, "environments.folder", json.dumps(str(folder)), remedy)
 
 
 def _override(data: dict[str, Any], text: str) -> str:
@@ -222,10 +258,10 @@ def _override(data: dict[str, Any], text: str) -> str:
     key, raw = key.strip(), raw.strip()
     if not equals or not re.fullmatch(r"[\w\-]+(\.[\w\-]+)*", key):
         raise JobError("--set", "", text, "write key=value, for example --set samples=8")
-    try:
-        value = tomllib.loads(f"value = {raw}")["value"]
-    except tomllib.TOMLDecodeError:
-        value = raw
+    value: Any = raw
+    with contextlib.suppress(tomllib.TOMLDecodeError):
+        found = _toml(f"value = {raw}")
+        value = found["value"] if len(found) == 1 else raw
     *tables, last = key.split(".")
     table = data
     for name in tables:

@@ -83,13 +83,12 @@ def _each(
     tars = [folder.shard(shard.name).tar for shard in planned]
     size = sum(path.stat().st_size for path in tars if path.is_file())
     with contextlib.ExitStack() as held:
-        bar = held.enter_context(console.progress())
         if size < PARALLEL_BYTES or workers == 1:
             results = map(check_shard, jobs)
         else:
             pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"))
             results = held.enter_context(pool).map(check_shard, jobs)
-        yield from bar.track(results, len(jobs), description="verifying")
+        yield from console.track(results, "verifying shards", len(jobs))
 
 
 # ---------------------------------------------------------------- around the shards

@@ -232,7 +232,7 @@ def test_render_status_and_verify(
     out = tmp_path / "data"
     done = synthgen("render", job, "--out", out, "--workers", "1", "--limit", "1", *FAKE)
     assert done.returncode == 0, done.stderr
-    assert "1 subjects" in done.stdout
+    assert done.stdout.startswith("1 subject, 4 frames in ")
     assert "complete" not in done.stdout
     assert "4 of 15 frames" in synthgen("status", out).stdout
     assert "holds another job" in failure("render", job, "--out", out, "--set", "seed=1", *FAKE)
