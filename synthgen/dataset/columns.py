@@ -18,6 +18,8 @@ from pydantic import BaseModel
 from assets_procedural.conventions.camera import CameraSample
 from assets_procedural.motion.poses import ARKIT_NAMES
 from assets_procedural.person import Person
+from synthgen.dataset.database import COLUMN
+from synthgen.dataset.folder import brief
 
 PHENOTYPES = (
     *("gender", "age", "muscle", "weight", "height", "proportions", "cupsize", "firmness"),
@@ -136,10 +138,14 @@ def _sql_type(kind: Any) -> str:
 
 def schema_of(rows: list[dict[str, Any]]) -> dict[str, str]:
     """The schema that holds these rows; `ValueError` if one has a column that it lacks."""
+    if not all(isinstance(r, dict) for r in rows):
+        raise ValueError("a row of the manifest must be an object")
     names = dict.fromkeys(name for r in rows for name in r)
     quality = [n.removeprefix("quality_") for n in names if n.startswith("quality_")]
     cost = [n.removeprefix("cost_") for n in names if n.startswith("cost_")]
     columns = schema(quality, cost)
+    if wrong := [name for name in names if not COLUMN.fullmatch(name)]:
+        raise ValueError(f"a column of the manifest cannot be called {brief(wrong[0])}")
     if unknown := set(names) - set(columns):
         raise ValueError(f"the manifest has no column for {sorted(unknown)}")
     return columns

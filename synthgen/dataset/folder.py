@@ -210,8 +210,9 @@ class DatasetFolder:
         return self.root.joinpath(*parts)
 
     def _name(self, name: str, what: str) -> str:
-        if not NAME.fullmatch(name):
-            raise StorageError(f"{self}: {not_a_name(name, what)}")
+        # What records hold may be of any type.
+        if not isinstance(name, str) or not NAME.fullmatch(name):
+            raise StorageError(f"{self}: {not_a_name(str(name), what)}")
         return name
 
 
@@ -233,3 +234,9 @@ def not_a_name(text: str, what: str) -> str:
 def brief(text: str) -> str:
     """Words of somebody else, quoted and shortened for a line."""
     return json.dumps(text if len(text) <= 80 else text[:77] + "...", ensure_ascii=False)
+
+
+def is_sample(name: str, key: str) -> bool:
+    """Whether a manifest's row names a shot by a name, in a file of two names, such as a shard."""
+    parts = name.split("/")
+    return len(parts) == 3 and all(map(NAME.fullmatch, (*parts, key)))

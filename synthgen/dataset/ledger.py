@@ -14,10 +14,16 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from assets_procedural.conventions.files import write_atomically
+from assets_procedural.conventions.files import open_regular, read_regular, write_atomically
 from synthgen.dataset.codecs import encode_json
 from synthgen.dataset.folder import DatasetFolder, Place, ShardFiles, StorageError
-from synthgen.dataset.records import Failure, RunNote, ShardRecord, read_description
+from synthgen.dataset.records import (
+    LARGEST_RECORD,
+    Failure,
+    RunNote,
+    ShardRecord,
+    read_description,
+)
 
 ATTEMPTS = 3
 
@@ -47,7 +53,7 @@ def shard_record(folder: DatasetFolder, shard: str) -> ShardRecord | None:
     """
     files = folder.shard(shard)
     try:
-        record = ShardRecord.parse(files.record.read_bytes(), files.record)
+        record = ShardRecord.parse(read_regular(files.record, LARGEST_RECORD), files.record)
         if record.subjects:
             if files.tar.stat().st_size != record.bytes:
                 return None
@@ -61,7 +67,8 @@ def committed(folder: DatasetFolder, subset: str) -> Iterator[tuple[ShardFiles, 
     """All committed shards of a subset, by name; those with damaged records are left out."""
     for files in folder.committed(subset):
         with contextlib.suppress(OSError, StorageError):
-            yield files, ShardRecord.parse(files.record.read_bytes(), files.record)
+            content = read_regular(files.record, LARGEST_RECORD)
+            yield files, ShardRecord.parse(content, files.record)
 
 
 # ---------------------------------------------------------------- failures
@@ -71,7 +78,7 @@ def failure(folder: DatasetFolder, subset: str, key: str) -> Failure | None:
     """What is known of a subject that failed; None if it never did."""
     path = folder.subject(subset, key).failure
     try:
-        return Failure.parse(path.read_bytes(), path)
+        return Failure.parse(read_regular(path, LARGEST_RECORD), path)
     except (OSError, StorageError):
         return None
 
@@ -106,7 +113,7 @@ def failures(folder: DatasetFolder) -> list[Failure]:
     entries = []
     for path in folder.failure_notes():
         with contextlib.suppress(OSError, StorageError):
-            entries.append(Failure.parse(path.read_bytes(), path))
+            entries.append(Failure.parse(read_regular(path, LARGEST_RECORD), path))
     return entries
 
 
@@ -174,7 +181,7 @@ def slice_busy(folder: DatasetFolder, name: str) -> bool:
     import fcntl
 
     try:
-        with (folder.locks / f"slice-{name}").open() as file:
+        with open_regular(folder.locks / f"slice-{name}") as file:
             fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:
         return True
@@ -273,7 +280,7 @@ def _add_runs(folder: DatasetFolder, result: Status) -> None:
         if not slice_busy(folder, path.stem):
             continue
         try:
-            run = RunNote.parse(path.read_bytes(), path)
+            run = RunNote.parse(read_regular(path, LARGEST_RECORD), path)
         except (OSError, StorageError):
             continue
         result.workers += run.workers

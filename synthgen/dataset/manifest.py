@@ -15,8 +15,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from assets_procedural.conventions.files import replacing
-from synthgen.dataset import ledger
+from assets_procedural.conventions.errors import one_line
+from assets_procedural.conventions.files import read_regular, replacing
+from synthgen.dataset import database, ledger
 from synthgen.dataset.codecs import encode_json
 from synthgen.dataset.columns import schema, schema_of
 from synthgen.dataset.folder import DamageError, DatasetFolder, Place, StorageError
@@ -26,6 +27,10 @@ if TYPE_CHECKING:
     import duckdb
 
 ROWS_PER_GROUP = 20_000
+MOST_SHOTS = 50_000_000
+"""Rows of a manifest that are opened: a few bytes of Parquet can claim any number of them."""
+_LARGEST = 256 << 20  # bytes of the rows of one subject
+_WAITING = 2 << 30  # and of all that wait
 
 
 # ---------------------------------------------------------------- files
@@ -38,7 +43,7 @@ def encode_rows(rows: list[dict[str, Any]]) -> bytes:
 
 def decode_rows(path: Path) -> list[dict[str, Any]]:
     """The inverse of `encode_rows`."""
-    return [json.loads(line) for line in path.read_bytes().splitlines()]
+    return [json.loads(line) for line in read_regular(path, _LARGEST).splitlines()]
 
 
 def write_part(path: Path, rows: list[dict[str, Any]]) -> None:
@@ -47,7 +52,7 @@ def write_part(path: Path, rows: list[dict[str, Any]]) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     try:
         source.write_bytes(encode_rows(rows))
-        _write_parquet(path, _json_source([source], schema_of(rows)))
+        _write_parquet(path, [source], _json_source(source, schema_of(rows)))
     finally:
         source.unlink(missing_ok=True)
 
@@ -62,9 +67,9 @@ def write_answer(path: Path, rows: Path, columns: dict[str, str]) -> None:
 def read_rows(path: Path, shard: str | None = None) -> list[dict[str, Any]]:
     """The rows of a Parquet file, or those of one shard, as dictionaries."""
     where, values = ("", []) if shard is None else (" WHERE shard = ?", [shard])
-    with _database() as connection:
+    with database.locked([path]) as connection:
         result = connection.execute(
-            f"SELECT * FROM read_parquet({_literal([path])}){where}", values
+            f"SELECT * FROM read_parquet({database.files([path])}){where}", values
         )
         names = [column[0] for column in result.description or ()]
         return [dict(zip(names, values, strict=True)) for values in result.fetchall()]
@@ -74,10 +79,10 @@ def merge(folder: DatasetFolder, subset: str) -> Path:
     """Join the parts of all committed shards into the subset's manifest; bounded memory."""
     target = folder.manifest(subset)
     if parts := _parts(folder, subset):
-        _write_parquet(target, f"SELECT * FROM {_parquet_source(parts)}")
+        _write_parquet(target, parts, f"SELECT * FROM {_parquet_source(parts)}")
     else:
-        columns = ", ".join(f'NULL::{kind} AS "{n}"' for n, kind in schema((), ()).items())
-        _write_parquet(target, f"SELECT {columns} LIMIT 0")
+        columns = (f"NULL::{kind} AS {database.quoted(n)}" for n, kind in schema((), ()).items())
+        _write_parquet(target, [], f"SELECT {', '.join(columns)} LIMIT 0")
     return target
 
 
@@ -92,84 +97,128 @@ def _parts(folder: DatasetFolder, subset: str) -> list[Path]:
     return [files.rows for files, record in shards if record.subjects and files.rows.exists()]
 
 
-def _write_parquet(target: Path, query_text: str) -> None:
+def _write_parquet(target: Path, sources: list[Path], query_text: str) -> None:
     import duckdb
 
     try:
-        with replacing(target) as file, _database() as connection:
-            # The open handle stays that of the file DuckDB writes, so that it gets its fsync.
-            connection.execute(
-                f"COPY ({query_text}) TO '{_escape(file.name)}' (FORMAT parquet, "
-                f"COMPRESSION zstd, ROW_GROUP_SIZE {ROWS_PER_GROUP}, USE_TMP_FILE false)"
-            )
+        with replacing(target) as file:
+            written = Path(file.name)
+            with database.locked(sources, written) as connection:
+                # The open handle stays that of the file DuckDB writes, so that it gets its fsync.
+                connection.execute(
+                    f"COPY ({query_text}) TO {database.literal(written)} (FORMAT parquet, "
+                    f"COMPRESSION zstd, ROW_GROUP_SIZE {ROWS_PER_GROUP}, USE_TMP_FILE false)"
+                )
     except duckdb.IOException as error:
         if "No space left" in str(error) or "quota" in str(error):
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(target)) from None
         raise
 
 
-def _database() -> duckdb.DuckDBPyConnection:
-    import duckdb
-
-    return duckdb.connect(config={"threads": 1, "memory_limit": "1GB"})
-
-
 def _parquet_source(paths: list[Path]) -> str:
-    return f"read_parquet({_literal(paths)}, union_by_name = true)"
+    return f"read_parquet({database.files(paths)}, union_by_name = true)"
 
 
-def _json_source(paths: list[Path], columns: dict[str, str]) -> str:
-    described = ", ".join(f"\"{name}\": '{kind}'" for name, kind in columns.items())
+def _json_source(path: Path, columns: dict[str, str]) -> str:
+    described = ", ".join(
+        f"{database.quoted(name)}: {database.literal(kind)}" for name, kind in columns.items()
+    )
     return (
-        f"SELECT * FROM read_json({_literal(paths)}, format = 'newline_delimited', "
+        f"SELECT * FROM read_json({database.files([path])}, format = 'newline_delimited', "
         f"columns = {{{described}}})"
     )
-
-
-def _literal(paths: list[Path]) -> str:
-    return "[" + ", ".join(f"'{_escape(path)}'" for path in paths) + "]"
-
-
-def _escape(path: Path | str) -> str:
-    return str(path).replace("'", "''")
 
 
 # ---------------------------------------------------------------- queries
 
 
-def connect(out: Place) -> duckdb.DuckDBPyConnection:
+def connect(out: Place, unlocked: bool = False) -> duckdb.DuckDBPyConnection:
     """A DuckDB connection with a view per subset and `manifest` over all of them.
 
-    Finished subjects that wait for their shard are included. Raises `StorageError` if `out` is no
-    dataset, holds no finished subject, or its manifest is damaged.
+    Finished subjects that wait for their shard are included; rows that make no sense are left out.
+    It is locked, see `synthgen.dataset.database`, unless `unlocked` is asked for.
+
+    Raises `StorageError` if `out` is no dataset, holds no finished subject, or its manifest is
+    damaged.
     """
     import duckdb
 
-    try:
-        return _connect(DatasetFolder(out))
-    except (duckdb.Error, ValueError) as error:
-        reason = f"{out}: the manifest cannot be read: {' '.join(str(error).split())[:200]}"
-        raise DamageError(out, reason) from None
-
-
-def _connect(folder: DatasetFolder) -> duckdb.DuckDBPyConnection:
+    folder = DatasetFolder(out)
     info = read_description(folder)
-    connection = _database()
-    views = []
-    for subset in info.plan:
-        sources = []
-        if parquet := files(folder, subset, info.complete):
-            sources.append(f"SELECT * FROM {_parquet_source(parquet)}")
-        waiting = sorted(folder.waiting(subset).glob("*.json"))
-        if waiting:
-            sources.append(_json_source(waiting, schema_of(decode_rows(waiting[0]))))
-        if sources:
-            connection.execute(f'CREATE VIEW "{subset}" AS {" UNION ALL BY NAME ".join(sources)}')
-            views.append(f'SELECT * FROM "{subset}"')
-    if not views:
-        raise StorageError(f"{folder}: no subject is finished yet")
-    connection.execute(f"CREATE VIEW manifest AS {' UNION ALL BY NAME '.join(views)}")
+    parquet = {subset: files(folder, subset, info.complete) for subset in info.plan}
+    waiting = {subset: _waiting_rows(folder, subset) for subset in info.plan}
+    connection = database.connect()
+    try:
+        if not unlocked:
+            database.lock(connection, [path for paths in parquet.values() for path in paths])
+        views, known = [], {"manifest"}  # SQL takes names in any case
+        for number, subset in enumerate(info.plan):
+            sources = []
+            if paths := parquet[subset]:
+                sources.append(f"SELECT * FROM {_parquet_source(paths)}")
+            if rows := waiting[subset]:
+                fill(connection, f"waiting {number}", schema_of(rows), rows)
+                sources.append(f"SELECT * FROM {database.quoted(f'waiting {number}')}")
+            if sources:
+                source = " UNION ALL BY NAME ".join(sources)
+                views.append(source)
+                if subset.casefold() not in known:
+                    known.add(subset.casefold())
+                    connection.execute(f"CREATE VIEW {database.quoted(subset)} AS {source}")
+        if not views:
+            raise StorageError(f"{folder}: no subject is finished yet")
+        connection.execute(f"CREATE VIEW manifest AS {' UNION ALL BY NAME '.join(views)}")
+        ((shots,),) = connection.execute("SELECT count(*) FROM manifest").fetchall()
+        if shots > MOST_SHOTS:
+            raise StorageError(f"{folder}: lists {shots:,} shots; at most {MOST_SHOTS:,} are read")
+    except BaseException as error:
+        connection.close()
+        if isinstance(error, duckdb.Error | OSError):
+            reason = f"{folder}: the manifest cannot be read: {one_line(error)[:200]}"
+            raise DamageError(folder, reason) from None
+        raise
     return connection
+
+
+def _waiting_rows(folder: DatasetFolder, subset: str) -> list[dict[str, Any]]:
+    """Rows of the subjects that wait for their shard; those that are damaged or gone are not."""
+    rows: list[dict[str, Any]] = []
+    names: dict[str, str] = {}  # SQL takes them in any case
+    left = _WAITING
+    for path in sorted(folder.waiting(subset).glob("*.json")):
+        with contextlib.suppress(OSError, ValueError, RecursionError, StorageError):
+            left -= path.stat().st_size
+            if left < 0:
+                break
+            found = decode_rows(path)
+            if all(names.setdefault(name.casefold(), name) == name for name in schema_of(found)):
+                rows += found
+    return rows
+
+
+def fill(
+    connection: duckdb.DuckDBPyConnection,
+    table: str,
+    columns: dict[str, str],
+    rows: list[dict[str, Any]],
+) -> None:
+    """A table of rows, which DuckDB reads as JSON: lists, maps and structures keep their types.
+
+    A value of another type than its column's becomes NULL.
+    """
+    described = ", ".join(f"{database.quoted(n)} {kind}" for n, kind in columns.items())
+    connection.execute(f"CREATE TABLE {database.quoted(table)} ({described})")
+    if rows:
+        connection.execute(
+            f"INSERT INTO {database.quoted(table)} SELECT unnest(from_json(line, ?)) "
+            "FROM (SELECT unnest(?) AS line)",
+            [json.dumps(columns), [_line(r) for r in rows]],
+        )
+
+
+def _line(row: dict[str, Any]) -> str:
+    """A row as JSON; half characters, which JSON can name and UTF-8 cannot hold, become `?`."""
+    return json.dumps(row, ensure_ascii=False).encode(errors="replace").decode()
 
 
 @dataclass(frozen=True)
@@ -182,17 +231,20 @@ class Answer:
 
 
 @contextlib.contextmanager
-def answering(out: Place, sql: str) -> Iterator[Answer]:
+def answering(out: Place, sql: str, unlocked: bool = False) -> Iterator[Answer]:
     """Run SQL as `query` does, and hand its rows out in chunks; memory stays bounded."""
     import duckdb
 
-    with connect(out) as connection:
+    with connect(out, unlocked) as connection:
+
+        def fetch() -> list[tuple[Any, ...]]:
+            return database.interruptible(connection, lambda: found.fetchmany(ROWS_PER_GROUP))
+
         try:
-            found = connection.execute(sql)
-            if found is None:  # nothing but spaces or a comment
-                raise StorageError('query: is empty; write "SELECT … FROM manifest"')
+            check_query(connection, sql, unlocked)
+            found = database.interruptible(connection, lambda: connection.execute(sql))
             columns = found.description or ()
-            chunks = iter(lambda: found.fetchmany(ROWS_PER_GROUP), [])
+            chunks = iter(fetch, [])
             yield Answer([str(c[0]) for c in columns], [str(c[1]) for c in columns], chunks)
         except duckdb.Error as error:
             raise StorageError(f"query: {' '.join(str(error).split())}") from None
@@ -210,17 +262,34 @@ class Result:
         return [dict(zip(self.column_names, row, strict=True)) for row in self.rows]
 
 
-def query(out: Place, sql: str) -> Result:
+def query(out: Place, sql: str, unlocked: bool = False) -> Result:
     """Run SQL over the manifest: tables `manifest` (all subsets) and one per subset.
+
+    One SELECT, to which all other files are shut, unless `unlocked` is asked for.
 
     Raises `StorageError` with one line for a wrong query or a folder that is no dataset.
     """
     import duckdb
 
-    with connect(out) as connection:
+    with connect(out, unlocked) as connection:
         try:
-            result = connection.execute(sql)
-            names = [column[0] for column in result.description or ()]
-            return Result(names, result.fetchall())
+            check_query(connection, sql, unlocked)
+
+            def ask() -> Result:
+                result = connection.execute(sql)
+                names = [column[0] for column in result.description or ()]
+                return Result(names, result.fetchall())
+
+            return database.interruptible(connection, ask)
         except duckdb.Error as error:
             raise StorageError(f"query: {' '.join(str(error).split())}") from None
+
+
+def check_query(connection: duckdb.DuckDBPyConnection, sql: str, unlocked: bool) -> None:
+    """Raise `StorageError` unless SQL only reads, or anything is allowed."""
+    if not connection.extract_statements(sql):  # nothing but spaces or a comment
+        raise StorageError('query: is empty; write "SELECT … FROM manifest"')
+    if not unlocked and not database.only_reads(connection, sql):
+        raise StorageError(
+            "query: must be one SELECT; what writes files or changes settings needs --unlocked"
+        )

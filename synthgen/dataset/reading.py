@@ -17,14 +17,16 @@ from typing import Any
 import numpy as np
 
 from assets_procedural.conventions.errors import one_line
-from synthgen.dataset import manifest
-from synthgen.dataset.codecs import decode_exr
+from assets_procedural.conventions.files import read_regular
+from synthgen.dataset import database, manifest
+from synthgen.dataset.codecs import LARGEST, decode_exr
 from synthgen.dataset.folder import (
     DamageError,
     DatasetFolder,
     Place,
     StorageError,
     brief,
+    is_sample,
     subset_of,
 )
 from synthgen.dataset.records import Description, read_description
@@ -143,9 +145,8 @@ class Dataset:
             if identifier not in known:
                 raise UnknownEnvironment(f"{self.folder}: no environment {brief(identifier)}")
             raise DamageError(self.folder, f"{path}: is missing")
-        content = path.read_bytes()
         try:
-            planes = decode_exr(content)
+            planes = decode_exr(read_regular(path, LARGEST))
             return np.stack([planes[c] for c in "RGB"], -1).astype(np.float32)
         except Exception as error:  # OpenEXR raises what it likes on damaged bytes
             reason = f"{path}: does not decode: {one_line(error)[:160]}"
@@ -207,19 +208,28 @@ def open_dataset(
         raise StorageError(f"{folder}: no subset {subset}; it has {known}")
     if split not in (None, "train", "validation", "test"):
         raise StorageError(f"split {split!r}: must be train, validation or test")
-    conditions = [f"({where})"] if where else []
+    conditions = [f"({where}\n)"] if where else []
     values = []
     for name, value in (("subset", subset), ("split", split)):
         if value is not None:
             conditions.append(f"{name} = ?")
             values.append(value)
     clause = f" WHERE {' AND '.join(conditions)}" if conditions else ""
+    sql = (
+        'SELECT "key"::VARCHAR, shard::VARCHAR, "offset"::BIGINT, "size"::BIGINT '
+        f"FROM manifest{clause}"
+    )
     with manifest.connect(folder) as connection:
         try:
-            rows = connection.execute(
-                f'SELECT "key", shard, "offset", "size" FROM manifest{clause}', values
+            if not database.only_reads(connection, sql):
+                raise StorageError("where: must be a single condition, not several statements")
+            return Dataset(
+                folder,
+                description,
+                database.interruptible(
+                    connection, lambda: _index(folder, connection.execute(sql, values))
+                ),
             )
-            return Dataset(folder, description, _index(rows))
         except duckdb.Error as error:
             if where is None:
                 reason = f"{folder}: the manifest cannot be read: {one_line(error)[:200]}"
@@ -227,10 +237,14 @@ def open_dataset(
             raise StorageError(f"where: {' '.join(str(error).split())}") from None
 
 
-def _index(rows: Any) -> Index:
+def _index(folder: DatasetFolder, rows: Any) -> Index:
     codes: dict[str, int] = {}
     keys, shards, places = [np.empty(0, "U1")], [np.empty(0, np.int32)], [np.empty((0, 2), int)]
     while chunk := rows.fetchmany(20_000):
+        for key, shard, *place in chunk:
+            if None in (key, shard, *place) or not is_sample(shard, key):
+                named = f"{brief(str(shard))}, {brief(str(key))}"
+                raise StorageError(f"{folder}: its manifest names no shot of it: {named}")
         keys.append(np.array([row[0] for row in chunk]))
         shards.append(np.array([codes.setdefault(row[1], len(codes)) for row in chunk], np.int32))
         places.append(np.array([row[2:] for row in chunk], np.int64))

@@ -7,8 +7,11 @@ from typing import Annotated, Any, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from synthgen.dataset.folder import DatasetFolder, Place, StorageError
+from assets_procedural.conventions.files import read_regular
+from synthgen.dataset.folder import NAME, DatasetFolder, Place, StorageError, not_a_name
 
+LARGEST_RECORD = 256 << 20
+"""Bytes of a record that is read."""
 FORMAT = 1
 """Of the datasets that are written and read, see docs/dataset.md."""
 
@@ -46,9 +49,9 @@ class PlannedSubset(Record):
     """What the job asks of a subset."""
 
     kind: str
-    subjects: int
-    shots_per_subject: int
-    frames_per_subject: int
+    subjects: int = Field(ge=0, le=10**9)
+    shots_per_subject: int = Field(ge=1, le=10**6)
+    frames_per_subject: int = Field(ge=0, le=10**9)
 
     @property
     def environments(self) -> int:
@@ -103,6 +106,16 @@ class Description(Record):
     shards: list[ShardSeal] = []
     files: dict[str, str] = {}
 
+    @model_validator(mode="after")
+    def _named(self) -> Self:
+        """Subsets and environments are parts of paths: they are looked at once, here."""
+        names = [("subset", name) for name in self.plan]
+        names += [("environment", entry["id"]) for entry in self.environments if "id" in entry]
+        for what, name in names:
+            if not isinstance(name, str) or not NAME.fullmatch(name):
+                raise ValueError(not_a_name(str(name), what))
+        return self
+
 
 def read_description(out: Place) -> Description:
     """dataset.json; `StorageError` with one line if the folder is no dataset or it is damaged."""
@@ -120,7 +133,7 @@ def description_json(folder: DatasetFolder) -> Any:
 
 def _description_bytes(folder: DatasetFolder) -> bytes:
     try:
-        return folder.description.read_bytes()
+        return read_regular(folder.description, LARGEST_RECORD)
     except FileNotFoundError:
         raise StorageError(f"{folder}: no dataset here (no dataset.json)") from None
     except NotADirectoryError:

@@ -10,13 +10,12 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-import duckdb
 import numpy as np
 
 from assets_procedural.conventions import console
-from assets_procedural.conventions.files import sha256
-from synthgen.dataset import columns, ledger
-from synthgen.dataset.codecs import decode_exr
+from assets_procedural.conventions.files import read_regular, sha256
+from synthgen.dataset import columns, database, ledger
+from synthgen.dataset.codecs import LARGEST, decode_exr
 from synthgen.dataset.folder import DatasetFolder, Place, StorageError
 from synthgen.dataset.records import FORMAT, description_json
 from synthgen.planning.plan import SPLITS, Plan, ShardPlan
@@ -115,14 +114,14 @@ def _check_files(folder: DatasetFolder, info: dict[str, Any], plan: Plan) -> Ite
                 yield f"{path.name}: missing"
         if folder.croissant.is_file():
             try:
-                json.loads(folder.croissant.read_bytes())
+                json.loads(read_regular(folder.croissant, 256 << 20))
             except ValueError as error:
                 yield f"{folder.croissant.name}: not valid JSON ({error})"
 
 
 def _check_environment(path: Path, name: str) -> Iterator[str]:
     try:
-        planes = decode_exr(path.read_bytes())
+        planes = decode_exr(read_regular(path, LARGEST))
         image = np.stack([planes[c] for c in "RGB"], -1)
     except Exception as error:  # OpenEXR raises what it likes on damaged bytes
         yield f"{name}: does not decode ({' '.join(str(error).split())[:120]})"
@@ -139,8 +138,8 @@ def _check_table(
     """A manifest as a whole; its rows are compared with the samples shard by shard."""
     path = folder.manifest(subset)
     name = folder.relative(path)
-    with duckdb.connect() as connection:
-        table = connection.read_parquet(str(path))
+    with database.locked([path]) as connection:
+        table = connection.sql(f"SELECT * FROM read_parquet({database.files([path])})")
         names = table.columns
         shards = dict(table.aggregate("shard, count(*)").fetchall())
         repeated = table.aggregate("count(*) - count(DISTINCT key)").fetchall()[0][0]
