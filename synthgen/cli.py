@@ -299,6 +299,10 @@ def rerender(
     subset: Subset = None,
     device: Device = "cpu",
     threads: Threads = 1,
+    renderer: Annotated[
+        str | None,
+        typer.Option(help="Run this one, package.module:function; a dataset may name ours alone."),
+    ] = None,
 ) -> None:
     """Render one shot again from what the dataset records, and report any difference."""
     from synthgen.farm import preflight
@@ -306,7 +310,7 @@ def rerender(
 
     preflight.check_device(device)
     with console.progress(f"rendering {key} again"):
-        report = again(out, key, subset=subset, device=device, threads=threads)
+        report = again(out, key, subset=subset, device=device, threads=threads, renderer=renderer)
     typer.echo(report)
 
 
@@ -326,12 +330,16 @@ def query(
         Path | None,
         typer.Option("--output", metavar="FILE", show_default="stdout", help="File to write."),
     ] = None,
+    unlocked: Annotated[
+        bool,
+        typer.Option("--unlocked", help="Let the query read and write other files and settings."),
+    ] = False,
 ) -> None:
     """Query the manifest in SQL (DuckDB)."""
     from synthgen.dataset import manifest
     from synthgen.publish import answers
 
-    with manifest.answering(out, sql) as answer:
+    with manifest.answering(out, sql, unlocked) as answer:
         answers.write(answer, format_, output)
 
 

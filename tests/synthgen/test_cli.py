@@ -294,7 +294,7 @@ def test_show_takes_every_form_of_a_key(
 def test_rerender_takes_every_form_of_a_key(
     synthgen: Synthgen, out: Path, key: tuple[str, ...], name: str
 ) -> None:
-    result = synthgen("rerender", out, *key)
+    result = synthgen("rerender", out, *key, *FAKE)
     assert result.returncode == 0, result.stderr
     assert result.stdout.startswith(f"{name}: identical\n")
 

@@ -272,9 +272,9 @@ def test_a_shot_that_cannot_be_rendered_again_is_one_line(
     monkeypatch.setenv("TROUBLE", json.dumps({"s000001": "raise", "s000002": "hang"}))
     failed = "s00000._p01: rendering it again failed"
     with pytest.raises(StorageError, match=f"{failed}: RuntimeError: no hair left$"):
-        rerender(whole, "multiview/s000001_p01")
+        rerender(whole, "multiview/s000001_p01", renderer=fake_renderer.RENDERER)
     with pytest.raises(StorageError, match=f"{failed}: took more than 2 s$"):
-        rerender(whole, "multiview/s000002_p01", time_limit=2.0)
+        rerender(whole, "multiview/s000002_p01", time_limit=2.0, renderer=fake_renderer.RENDERER)
 
 
 def test_a_broken_set_up_does_not_quarantine_everybody(
