@@ -78,7 +78,7 @@ def jobs() -> None:
         subsets = load_job(file).subsets.values()
         people = sum(s.subjects for s in subsets)
         frames = sum(s.subjects * s.shots * s.environments for s in subsets)
-        table.add_row(name, f"{people:,}", f"{frames:,}", console.escape(purpose(file)))
+        table.add_row(name, f"{people:,}", f"{frames:,}", purpose(file))
     console.stdout().print(table)
 
 
@@ -197,7 +197,7 @@ def render(
     screen.print(f"{done} in {took}" + ("; the dataset is complete" if summary.complete else ""))
     for entry in summary.failed:
         reason = f"{entry.reason} ({entry.log})"
-        screen.print(console.escape(f"failed: {entry.subset}/{entry.key}: {reason}"))
+        screen.print(f"failed: {entry.subset}/{entry.key}: {reason}")
     if summary.failed:
         raise typer.Exit(1)
 
@@ -219,13 +219,13 @@ def status(out: Dataset, as_json: AsJson = False) -> None:
         _print_json(_status_as_json(state))
         return
     screen = console.stdout()
-    table = Table(title=console.escape(f"{state.name} in {out}"), title_justify="left")
+    table = Table(title=f"{state.name} in {out}", title_justify="left")
     table.add_column("subset")
     for column in ("subjects", "done", "given up", "shards", "size"):
         table.add_column(column, justify="right")
     for s in state.subsets:
         counts = [f"{n:,}" for n in (s.subjects, s.done, s.failed, s.shards)]
-        table.add_row(console.escape(s.name), *counts, console.size(s.bytes))
+        table.add_row(s.name, *counts, console.size(s.bytes))
     screen.print(table)
     done, total = state.frames
     line = f"{done:,} of {console.count(total, 'frame')}"
@@ -236,11 +236,10 @@ def status(out: Dataset, as_json: AsJson = False) -> None:
         line += f", {console.duration(state.seconds_left)} left"
     screen.print(line + ("; complete" if state.complete else ""))
     for entry in state.running:
-        where = console.escape(f"{entry.subset}/{entry.key}")
-        screen.print(f"running: {where} for {console.duration(entry.seconds)}")
+        screen.print(f"running: {entry.subset}/{entry.key} for {console.duration(entry.seconds)}")
     for entry in state.failures:
         tries = console.count(entry.attempts, "attempt")
-        screen.print(console.escape(f"failed: {entry.subset}/{entry.key}, {tries}: {entry.reason}"))
+        screen.print(f"failed: {entry.subset}/{entry.key}, {tries}: {entry.reason}")
 
 
 @app.command()
@@ -251,7 +250,7 @@ def verify(out: Dataset) -> None:
     problems = check(out)
     screen = console.stdout()
     for problem in problems:
-        screen.print(console.escape(problem), soft_wrap=True)
+        screen.print(problem, soft_wrap=True)
     if problems:
         screen.print(f"{len(problems)} problem{'s' if len(problems) > 1 else ''} in {out}")
         raise typer.Exit(1)
@@ -271,7 +270,7 @@ def show(
     from synthgen.pictures import shot_sheet
 
     target = output or _beside(out, f"-{key.replace('/', '-')}.png")
-    typer.echo(shot_sheet.show(out, key, target, subset=subset))
+    console.say(shot_sheet.show(out, key, target, subset=subset))
 
 
 @app.command()
@@ -289,7 +288,7 @@ def sheet(
     from synthgen.pictures import sheet as drawing
 
     draw = drawing.portraits if portraits else drawing.sheet
-    typer.echo(draw(out, output or _beside(out, ".png")))
+    console.say(draw(out, output or _beside(out, ".png")))
 
 
 @app.command()
@@ -311,7 +310,7 @@ def rerender(
     preflight.check_device(device)
     with console.progress(f"rendering {key} again"):
         report = again(out, key, subset=subset, device=device, threads=threads, renderer=renderer)
-    typer.echo(report)
+    console.say(report)
 
 
 @app.command()
@@ -367,7 +366,7 @@ def export(
 
     write = {"nerfstudio": nerfstudio}[format_]
     chosen = open_dataset(out, subset=subset, split=split, where=where)
-    typer.echo(write(chosen, target or _beside(out, f"-{format_}")))
+    console.say(write(chosen, target or _beside(out, f"-{format_}")))
 
 
 @app.command()
@@ -393,7 +392,7 @@ def browse(
 
             webbrowser.open(address)
 
-    serve(out, host, port, cache, typer.echo, ready)
+    serve(out, host, port, cache, console.say, ready)
 
 
 def _beside(out: Path, ending: str) -> Path:
@@ -414,7 +413,8 @@ def _beside(out: Path, ending: str) -> Path:
 def _print_json(answer: dict[str, Any]) -> None:
     import json
 
-    typer.echo(json.dumps(answer, indent=1, ensure_ascii=False))
+    # Escaped in ASCII: a terminal obeys more characters than JSON escapes otherwise.
+    typer.echo(json.dumps(answer, indent=1))
 
 
 def _status_as_json(state: Status) -> dict[str, Any]:

@@ -59,9 +59,7 @@ def write_part(path: Path, rows: list[dict[str, Any]]) -> None:
 
 def write_answer(path: Path, rows: Path, columns: dict[str, str]) -> None:
     """Make a Parquet file of JSON lines; `columns` has DuckDB's type of each, in order."""
-    described = ", ".join(f"'{_escape(name)}': '{_escape(kind)}'" for name, kind in columns.items())
-    source = f"read_json({_literal([rows])}, format = 'newline_delimited'"
-    _write_parquet(path, f"SELECT * FROM {source}, columns = {{{described}}})")
+    _write_parquet(path, [rows], _json_source(rows, columns))
 
 
 def read_rows(path: Path, shard: str | None = None) -> list[dict[str, Any]]:
@@ -121,7 +119,7 @@ def _parquet_source(paths: list[Path]) -> str:
 
 def _json_source(path: Path, columns: dict[str, str]) -> str:
     described = ", ".join(
-        f"{database.quoted(name)}: {database.literal(kind)}" for name, kind in columns.items()
+        f"{database.literal(name)}: {database.literal(kind)}" for name, kind in columns.items()
     )
     return (
         f"SELECT * FROM read_json({database.files([path])}, format = 'newline_delimited', "

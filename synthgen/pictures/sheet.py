@@ -65,7 +65,7 @@ def sheet(out: Place, target: Path | str, subjects: int = 6) -> Path:
     blocks = []
     for subset, plan in info.plan.items():
         chosen = _spread([p for (s, _), p in grouped.items() if s == subset], subjects)
-        shots = [[dataset.find(i) for i in _spread(positions, 8)] for positions in chosen]
+        shots = [[dataset[i] for i in _spread(positions, 8)] for positions in chosen]
         if shots:
             blocks.append(_Block(_title(subset, plan), shots))
     page = _Sheet(info, dataset, blocks)
@@ -83,7 +83,7 @@ def portraits(out: Place, target: Path | str, people: int = 10, columns: int = 5
     """Draw one picture of each of up to `people` subjects, `columns` in a row. Returns `target`."""
     dataset = open_dataset(out)
     first = [positions[0] for positions in list(dataset.subjects().values())[:people]]
-    chosen = [dataset.find(position) for position in first]
+    chosen = [dataset[position] for position in first]
     size = SHEET // columns
     image = Image.new("RGB", (size * columns, size * -(-len(chosen) // columns)), PAPER)
     for i, shot in enumerate(chosen):
