@@ -31,6 +31,7 @@ import traceback
 import zipfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -1046,6 +1047,14 @@ def threading_interrupt(seconds: float) -> None:
 
 # ---------------------------------------------------------------- all
 
+_MODULES = (
+    *("OpenEXR", "OpenImageIO", "torch", "rich.table", "rich.progress", "typer.rich_utils"),
+    *("synthgen.farm.preflight", "synthgen.farm.rerender", "synthgen.farm.recorded"),
+    *("synthgen.farm.estimate", "synthgen.farm.calibration", "synthgen.publish.verify"),
+    *("synthgen.publish.export", "synthgen.publish.answers", "synthgen.pictures.sheet"),
+    *("synthgen.pictures.shot_sheet", "totalediting.data.shots", "assets_procedural.body.head"),
+)
+
 
 @contextlib.contextmanager
 def dataset() -> Iterator[tuple[Path, Path]]:
@@ -1068,9 +1077,8 @@ def main() -> None:
     rows: list[tuple[object, ...]] = []
     findings: list[str] = []
     with dataset() as (base, work):
-        import torch
-
-        torch.set_num_threads(1)  # else a child of a fork may wait for threads that it lacks
+        for name in _MODULES:  # once, and not in every child
+            import_module(name)
         if not arguments.only_sql:
             found, runs = try_datasets(base, work, arguments.kind, arguments.seconds)
             kinds = sum(not arguments.kind or any(w in n for w in arguments.kind) for n in KINDS)

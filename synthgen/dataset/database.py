@@ -119,20 +119,24 @@ def interruptible(connection: duckdb.DuckDBPyConnection, work: Callable[[], T]) 
     answer: list[T] = []
     failure: list[BaseException] = []
 
+    ended = threading.Event()
+
     def run() -> None:
         try:
             answer.append(work())
         except BaseException as error:
             failure.append(error)
+        finally:
+            ended.set()
 
-    worker = threading.Thread(target=run, daemon=True)
-    worker.start()
+    threading.Thread(target=run, daemon=True).start()
     try:
-        worker.join()
+        # Not `join`, which takes a thread for ended once it was interrupted itself.
+        ended.wait()
     except BaseException:
-        while worker.is_alive():  # between two queries there is nothing to interrupt
+        while not ended.is_set():  # between two queries there is nothing to interrupt
             connection.interrupt()
-            worker.join(0.1)
+            ended.wait(0.05)
         raise
     if failure:
         raise failure[0]

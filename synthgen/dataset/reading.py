@@ -227,7 +227,7 @@ def open_dataset(
                 folder,
                 description,
                 database.interruptible(
-                    connection, lambda: _index(folder, connection.execute(sql, values))
+                    connection, lambda: _index(folder, description, connection.execute(sql, values))
                 ),
             )
         except duckdb.Error as error:
@@ -237,12 +237,16 @@ def open_dataset(
             raise StorageError(f"where: {' '.join(str(error).split())}") from None
 
 
-def _index(folder: DatasetFolder, rows: Any) -> Index:
+def _index(folder: DatasetFolder, description: Description, rows: Any) -> Index:
     codes: dict[str, int] = {}
     keys, shards, places = [np.empty(0, "U1")], [np.empty(0, np.int32)], [np.empty((0, 2), int)]
     while chunk := rows.fetchmany(20_000):
         for key, shard, *place in chunk:
-            if None in (key, shard, *place) or not is_sample(shard, key):
+            if (
+                None in (key, shard, *place)
+                or not is_sample(shard, key)
+                or subset_of(shard) not in description.plan
+            ):
                 named = f"{brief(str(shard))}, {brief(str(key))}"
                 raise StorageError(f"{folder}: its manifest names no shot of it: {named}")
         keys.append(np.array([row[0] for row in chunk]))

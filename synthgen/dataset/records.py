@@ -7,6 +7,7 @@ from typing import Annotated, Any, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from assets_procedural.conventions.errors import one_line
 from assets_procedural.conventions.files import read_regular
 from synthgen.dataset.folder import NAME, DatasetFolder, Place, StorageError, not_a_name
 
@@ -138,6 +139,8 @@ def _description_bytes(folder: DatasetFolder) -> bytes:
         raise StorageError(f"{folder}: no dataset here (no dataset.json)") from None
     except NotADirectoryError:
         raise StorageError(f"{folder}: is a file, not a dataset folder") from None
+    except OSError as error:  # a pipe, a folder, links in a circle
+        raise StorageError(one_line(error)) from None
 
 
 # ---------------------------------------------------------------- ledger
