@@ -1,4 +1,4 @@
-"""Whatever a stranger wrote into a dataset: nothing gets out, in, or stuck, and one line says so."""
+"""What a stranger wrote into a dataset: nothing gets out, in, or stuck, and one line says so."""
 
 from __future__ import annotations
 
