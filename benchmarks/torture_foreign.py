@@ -678,7 +678,6 @@ def browsing(place: Place) -> None:
 
 RUNS: dict[str, Callable[[Place], None]] = {
     "status": command("status", "{out}"),
-    "status --json": command("status", "{out}", "--json"),
     "verify": command("verify", "{out}"),
     "query": command("query", "{out}", "SELECT * FROM manifest LIMIT 3", "--format", "table"),
     "show": command("show", "{out}", SHOT, "--output", "{target}/shot.png"),
@@ -847,10 +846,11 @@ def try_datasets(
     for number, (name, spoil) in enumerate(kinds.items()):
         place = make_place(base, work / f"{number}", spoil)
         kept = (place.out, place.outside, place.root / "cwd", place.root / "tmp")
+        after = state(*kept)
         for what, read in RUNS.items():
+            before = after
             shutil.rmtree(place.target)
             place.target.mkdir()
-            ages, before = age(place.outside), state(*kept)
             ages = age(place.outside)
             outcome = run(lambda read=read, place=place: read(place), place, seconds, kept[2])
             touched = [p.name for p, then in ages.items() if p.stat().st_atime_ns != then]
@@ -862,8 +862,7 @@ def try_datasets(
                 found.append("does not end")
             if outcome.raised or "Traceback (most recent call last)" in outcome.said:
                 found.append(f"traceback: {outcome.raised[:300]}")
-            if state(*kept) != before:
-                after = state(*kept)
+            if (after := state(*kept)) != before:
                 changed = [p for p in after | before if after.get(p) != before.get(p)]
                 found.append(f"changes {changed[:3]}")
             read_outside = sorted({*touched, *outcome.opened})
@@ -1009,16 +1008,18 @@ def try_conditions(base: Path, work: Path, limit: float) -> tuple[list[str], int
         with contextlib.suppress(StorageError, KeyboardInterrupt, MemoryError):
             print(manifest.query(place.out, f"SELECT key FROM manifest WHERE {where}").rows[:3])
 
+    after = state(*kept)
     for condition in CONDITIONS:
         where = condition.format(outside=place.outside) if len(condition) < 500 else condition
         for what, ask in (("page", page), ("open_dataset", own), ("query", queried)):
-            before, ages = state(*kept), age(place.outside)
+            before, ages = after, age(place.outside)
             patience = 60.0 if what == "page" else limit + 1
             work_ = lambda ask=ask, where=where: ask(where)  # noqa: E731
             outcome = run(work_, place, patience, kept[2])
             touched = [p.name for p, then in ages.items() if p.stat().st_atime_ns != then]
             found = []
-            if state(*kept) != before or touched or outcome.opened:
+            after = state(*kept)
+            if after != before or touched or outcome.opened:
                 found.append(f"escapes: {touched} {outcome.opened[:2]}")
             if SECRET.decode() in outcome.said or "root:x:0" in outcome.said:
                 found.append("tells the secret")
