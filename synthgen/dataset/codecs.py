@@ -5,10 +5,13 @@ from __future__ import annotations
 import io
 import json
 import zipfile
+import zlib
 from typing import Any
 
 import numpy as np
 from PIL import Image
+
+_PNG = b"\x89PNG\r\n\x1a\n"
 
 
 def encode_png(array: np.ndarray) -> bytes:
@@ -19,9 +22,26 @@ def encode_png(array: np.ndarray) -> bytes:
 
 
 def decode_png(data: bytes) -> np.ndarray:
-    """The inverse of `encode_png`."""
+    """The inverse of `encode_png`; `ValueError` if a checksum in the file does not hold."""
+    _check_png(data)
     with Image.open(io.BytesIO(data)) as image:
         return np.asarray(image)
+
+
+def _check_png(data: bytes) -> None:
+    """Compare the CRC of every chunk, of which Pillow skips those of the pixels."""
+    position = len(_PNG)
+    if not data.startswith(_PNG):
+        raise ValueError("not a PNG")
+    kind = b""
+    while kind != b"IEND":
+        length, kind = int.from_bytes(data[position : position + 4]), data[position + 4 :][:4]
+        end = position + 8 + length
+        if data[end : end + 4] != zlib.crc32(data[position + 4 : end]).to_bytes(4):
+            raise ValueError("changed since it was written (CRC)")
+        position = end + 4
+    if position != len(data):
+        raise ValueError("bytes after its end")
 
 
 def encode_exr(planes: dict[str, np.ndarray]) -> bytes:
@@ -58,9 +78,15 @@ def encode_npz(arrays: dict[str, np.ndarray]) -> bytes:
 
 
 def decode_npz(data: bytes) -> dict[str, np.ndarray]:
-    """The inverse of `encode_npz`."""
-    with np.load(io.BytesIO(data), allow_pickle=False) as archive:
-        return {name: archive[name] for name in archive.files}
+    """The inverse of `encode_npz`; `BadZipFile` if a checksum in the file does not hold."""
+    arrays = {}
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        for entry in archive.namelist():
+            # Read to the end, where the checksum is compared; numpy stops at the last number.
+            content = io.BytesIO(archive.read(entry))
+            array = np.lib.format.read_array(content, allow_pickle=False)
+            arrays[entry.removesuffix(".npy")] = array
+    return arrays
 
 
 def encode_json(value: Any) -> bytes:

@@ -2,13 +2,13 @@
 
 `synthgen.dataset.folder` says where it lies, `synthgen.dataset.records` what is written. A subject
 is done when its rows of the manifest exist, a shard when its record exists and its tar has the
-recorded size. Both are committed after what they vouch for.
+recorded size. Both are committed after what they vouch for, and hold the hashes of it, which
+`synthgen.farm.commit` compares.
 """
 
 from __future__ import annotations
 
 import contextlib
-import os
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -16,10 +16,11 @@ from pathlib import Path
 
 from assets_procedural.conventions.files import write_atomically
 from synthgen.dataset.codecs import encode_json
-from synthgen.dataset.folder import DatasetFolder, Place, ShardFiles, StorageError
+from synthgen.dataset.folder import NAME, DatasetFolder, Place, ShardFiles, StorageError
 from synthgen.dataset.records import Failure, RunNote, ShardRecord, read_description
 
 ATTEMPTS = 3
+_LOOKS = 5
 
 
 @dataclass(frozen=True)
@@ -40,19 +41,28 @@ def waiting(folder: DatasetFolder, subset: str, key: str) -> WaitingSubject | No
     return WaitingSubject(subset, key, files.waiting_tar, files.waiting_rows)
 
 
-def shard_record(folder: DatasetFolder, shard: str) -> ShardRecord | None:
-    """The record of a committed shard ("<subset>/<split>-000000.tar").
+def record_of(folder: DatasetFolder, shard: str) -> ShardRecord | None:
+    """The record of a shard ("<subset>/<split>-000000.tar"), whatever has become of its files.
 
-    None if there is none, or files that it vouches for are gone.
+    None if there is none, or it is damaged.
     """
     files = folder.shard(shard)
-    try:
+    with contextlib.suppress(OSError, StorageError):
         record = ShardRecord.parse(files.record.read_bytes(), files.record)
-        if record.subjects:
+        if record.tar == folder.relative(files.tar):
+            return record
+    return None
+
+
+def shard_record(folder: DatasetFolder, shard: str) -> ShardRecord | None:
+    """As `record_of`; None too if files that it vouches for are gone or have another length."""
+    files, record = folder.shard(shard), record_of(folder, shard)
+    try:
+        if record is not None and record.subjects:
             if files.tar.stat().st_size != record.bytes:
                 return None
             files.rows.stat()
-    except (OSError, StorageError):
+    except OSError:
         return None
     return record
 
@@ -62,6 +72,27 @@ def committed(folder: DatasetFolder, subset: str) -> Iterator[tuple[ShardFiles, 
     for files in folder.committed(subset):
         with contextlib.suppress(OSError, StorageError):
             yield files, ShardRecord.parse(files.record.read_bytes(), files.record)
+
+
+def contents(
+    folder: DatasetFolder, subset: str
+) -> tuple[list[tuple[ShardFiles, ShardRecord]], list[str]]:
+    """The committed shards of a subset, and the keys of the subjects that wait for theirs.
+
+    No subject is in both, and none is missed, although shards may be committed at this moment: the
+    work files of a subject are removed after the record that lists it is written.
+    """
+    shards, keys = [], []
+    for _ in range(_LOOKS):
+        before = {files.record for files in folder.committed(subset)}
+        keys = [path.stem for path in sorted(folder.waiting(subset).glob("*.json"))]
+        shards = list(committed(folder, subset))
+        # Else a shard was opened again, and its subjects may just have become waiting ones.
+        if before <= {files.record for files in folder.committed(subset)}:
+            break
+    recorded = {key for _, record in shards for key in record.subjects}
+    named = (key for key in keys if NAME.fullmatch(key))
+    return shards, [key for key in named if key not in recorded]
 
 
 # ---------------------------------------------------------------- failures
@@ -250,13 +281,12 @@ def status(out: Place) -> Status:
     subsets = []
     for name, planned in info.plan.items():
         subset = SubsetStatus(name, planned.subjects, planned.frames_per_subject)
-        for _, record in committed(folder, name):
+        shards, keys = contents(folder, name)
+        subset.waiting = len(keys)
+        for _, record in shards:
             subset.in_shards += len(record.subjects)
             subset.shards += 1
             subset.bytes += record.bytes
-        if folder.waiting(name).is_dir():
-            with os.scandir(folder.waiting(name)) as entries:
-                subset.waiting = sum(e.name.endswith(".json") for e in entries)
         subsets.append(subset)
     result = Status(folder.root, info.name, info.complete, subsets, failures=failures(folder))
     by_name = {s.name: s for s in subsets}

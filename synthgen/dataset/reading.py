@@ -8,6 +8,8 @@ Needs neither Blender nor torch. Of a dataset that is still being rendered, it r
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -63,7 +65,9 @@ class Dataset:
         `ValueError` if its bytes are damaged.
         """
         position = self.position(which)
-        return decode(str(self.index.key[position]), self._members(position))
+        shot = decode(str(self.index.key[position]), self._members(position))
+        self._check_meta(position, shot.meta)
+        return shot
 
     def find(self, key: str) -> Shot:
         """`dataset[key]` for a key that a user typed: raises `StorageError` with one line."""
@@ -75,7 +79,10 @@ class Dataset:
     def read(self, which: int | str, fields: tuple[str, ...]) -> dict[str, Any]:
         """Decode some fields only: `rgb_00`, `hdr_00`, `albedo`, `normal`, `depth`, `meta`, …"""
         wanted = {MEMBER_OF.get(f, f + (".exr" if f.startswith("hdr") else ".png")) for f in fields}
-        decoded = decode_fields(self._members(self.position(which), wanted))
+        position = self.position(which)
+        decoded = decode_fields(self._members(position, wanted))
+        if "meta" in decoded:
+            self._check_meta(position, decoded["meta"])
         return {name: decoded[name] for name in fields}
 
     def keys(self) -> list[str]:
@@ -93,12 +100,17 @@ class Dataset:
     def environment(self, identifier: str) -> np.ndarray:
         """A panorama, (H, 2H, 3) float32, linear Rec.709 radiance.
 
-        Raises `KeyError` if the dataset has no environment of that id.
+        Raises `KeyError` if the dataset has no environment of that id, and `ValueError` if it
+        changed since it was stored.
         """
         path = self.folder.environment(identifier)
         if not path.exists():
             raise KeyError(identifier)
-        planes = decode_exr(path.read_bytes())
+        content = path.read_bytes()
+        recorded = self.description.files.get(self.folder.relative(path))
+        if recorded not in (None, hashlib.sha256(content).hexdigest()):
+            raise ValueError(f"{path}: changed since it was written")
+        planes = decode_exr(content)
         return np.stack([planes[c] for c in "RGB"], -1).astype(np.float32)
 
     def position(self, which: int | str) -> int:
@@ -120,9 +132,53 @@ class Dataset:
         return found[0]
 
     def _members(self, position: int, wanted: set[str] | None = None) -> dict[str, bytes]:
+        try:
+            return self._read(position, wanted)
+        except (OSError, ValueError):
+            if not self._found_again():
+                raise
+        return self._read(position, wanted)
+
+    def _read(self, position: int, wanted: set[str] | None) -> dict[str, bytes]:
         index = self.index
         path = self.folder.inside(index.shards[index.shard[position]])
-        return read_sample(path, int(index.offset[position]), int(index.size[position]), wanted)
+        place = int(index.offset[position]), int(index.size[position])
+        return read_sample(path, *place, str(index.key[position]), wanted)
+
+    def _check_meta(self, position: int, meta: dict[str, Any]) -> None:
+        there = f"{meta.get('subset')}/{meta.get('key')}"
+        wanted = f"{self.index.subset(position)}/{self.index.key[position]}"
+        if there != wanted:
+            raise ValueError(f"meta.json of {wanted} is that of {there[:80]}")
+
+    def _found_again(self) -> bool:
+        """Look up where the shots are now; whether any of them has moved.
+
+        While a dataset is rendered, subjects move from work files into their shard.
+        """
+        with contextlib.suppress(StorageError):
+            if self.description.complete and read_description(self.folder) == self.description:
+                return False
+        with manifest.connect(self.folder) as connection:
+            now = _index(connection.execute('SELECT "key", shard, "offset", "size" FROM manifest'))
+        places = {(now.subset(i), str(key)): i for i, key in enumerate(now.key)}
+        before, count = self.index, len(self)
+        at = np.array(
+            [places.get((before.subset(i), str(before.key[i])), -1) for i in range(count)], int
+        )
+        # Those that are gone stay where they were.
+        self.index = Index(
+            before.key,
+            np.where(at < 0, before.shard + len(now.shards), now.shard[at]).astype(np.int32),
+            np.where(at < 0, before.offset, now.offset[at]),
+            np.where(at < 0, before.size, now.size[at]),
+            now.shards + before.shards,
+        )
+        return any(
+            before.shards[before.shard[i]] != self.index.shards[self.index.shard[i]]
+            or before.offset[i] != self.index.offset[i]
+            for i in range(count)
+        )
 
 
 def open_dataset(

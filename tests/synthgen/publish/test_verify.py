@@ -140,6 +140,7 @@ def record_without(name: str) -> Callable[[Path], object]:
 def give_up(record: dict) -> None:
     """As if a subject had failed, of which dataset.json knows nothing."""
     record["failed"].append(record["subjects"].pop())
+    record["subject_sha256"].pop()
 
 
 DAMAGE: dict[str, tuple[Callable[[Path], object], str]] = {
