@@ -155,9 +155,9 @@ def slice_lock(folder: DatasetFolder, shard: tuple[int, int]) -> Iterator[None]:
 
     index, count = shard
     folder.locks.mkdir(parents=True, exist_ok=True)
-    with contextlib.ExitStack() as held:
+    with contextlib.ExitStack() as held, contextlib.ExitStack() as tried:
 
-        def lock(name: str, mode: int, patience: float) -> bool:
+        def lock(held: contextlib.ExitStack, name: str, mode: int, patience: float) -> bool:
             file = held.enter_context((folder.locks / name).open("a"))
             deadline = time.monotonic() + patience
             while True:
@@ -172,14 +172,16 @@ def slice_lock(folder: DatasetFolder, shard: tuple[int, int]) -> Iterator[None]:
 
         with shared_files_lock(folder):
             for path in folder.locks.glob("split-*"):
-                if path.name != f"split-{count}" and not lock(path.name, fcntl.LOCK_EX, 0.5):
+                own = path.name == f"split-{count}"
+                if not own and not lock(tried, path.name, fcntl.LOCK_EX, 0.5):
                     other = path.name.removeprefix("split-")
                     raise StorageError(
                         f"{folder}: being rendered in {other} slice(s), which overlap with a split "
                         f"into {count}; wait for that run or use the same --shard i/{other}"
                     )
-            lock(f"split-{count}", fcntl.LOCK_SH, 0.5)
-            if not lock(f"slice-{index}-of-{count}", fcntl.LOCK_EX, 0.5):
+            tried.close()  # else the next slice of this split would take us for another split
+            lock(held, f"split-{count}", fcntl.LOCK_SH, 0.5)
+            if not lock(held, f"slice-{index}-of-{count}", fcntl.LOCK_EX, 0.5):
                 what = "this dataset" if count == 1 else f"slice {index}/{count}"
                 raise StorageError(
                     f"{folder}: another process is rendering {what}; "
