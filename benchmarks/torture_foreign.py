@@ -170,7 +170,7 @@ def members_of(out: Path) -> dict[str, bytes]:
     position = dataset.position(SHOT)
     shard = out / dataset.index.shards[dataset.index.shard[position]]
     place = int(dataset.index.offset[position]), int(dataset.index.size[position])
-    return read_sample(shard, *place)
+    return read_sample(shard, *place, SHOT.split("/")[1])
 
 
 def meta(change: Callable[[dict[str, Any]], Any]) -> Callable[[bytes], bytes]:

@@ -194,6 +194,8 @@ def render(
     screen = console.stdout()
     done = f"{console.count(summary.rendered, 'subject')}, {console.count(summary.frames, 'frame')}"
     took = console.duration(summary.seconds)
+    for line in summary.mended:
+        screen.print(line, soft_wrap=True)
     screen.print(f"{done} in {took}" + ("; the dataset is complete" if summary.complete else ""))
     for entry in summary.failed:
         reason = f"{entry.reason} ({entry.log})"
@@ -243,14 +245,50 @@ def status(out: Dataset, as_json: AsJson = False) -> None:
 
 
 @app.command()
-def verify(out: Dataset) -> None:
-    """Check every file of a dataset; prints what is wrong and exits with 1 if anything is."""
+def verify(
+    out: Dataset,
+    repair: Annotated[
+        bool, typer.Option("--repair", help="Make again what is damaged or missing, then check.")
+    ] = False,
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="With --repair: as `render` has it.")
+    ] = None,
+    threads: Threads = 1,
+    device: Device = "cpu",
+    renderer: Renderer = DEFAULT_RENDERER,
+) -> None:
+    """Check every file of a dataset; prints what is wrong and exits with 1 if anything is.
+
+    With --repair, exactly what is damaged or missing is rendered or written again, by the version
+    of the code that made the dataset. Files that the dataset does not have are left alone.
+    """
+    from synthgen.dataset.folder import StorageError
     from synthgen.publish.verify import verify as check
 
-    problems = check(out)
     screen = console.stdout()
-    for problem in problems:
-        screen.print(problem, soft_wrap=True)
+
+    def show(lines: list[str]) -> None:
+        for line in lines:
+            screen.print(line, soft_wrap=True)
+
+    try:
+        problems = check(out)
+    except StorageError as error:
+        if not repair:
+            raise
+        problems = [str(error)]
+    show(problems)
+    if repair and problems:
+        from synthgen.farm import preflight
+        from synthgen.farm.repair import repair as mend
+
+        preflight.check_device(device)
+        summary = mend(out, workers, threads, device, renderer)
+        show([f"repaired: {line}" for line in summary.mended])
+        count = f"{summary.rendered} subject{'' if summary.rendered == 1 else 's'}"
+        screen.print(f"{count} rendered again; checking")
+        problems = check(out)
+        show(problems)
     if problems:
         screen.print(f"{len(problems)} problem{'s' if len(problems) > 1 else ''} in {out}")
         raise typer.Exit(1)

@@ -26,7 +26,7 @@ from synthgen.browse.fields import LEFT_OUT, Column, column
 from synthgen.browse.folder import Folder, Refused
 from synthgen.browse.matches import Matches
 from synthgen.browse.sandbox import Sandbox
-from synthgen.dataset import database, manifest
+from synthgen.dataset import ledger, manifest
 from synthgen.dataset.columns import IDENTITY, PLACE, schema_of
 from synthgen.dataset.database import quoted
 from synthgen.dataset.folder import NAME, StorageError
@@ -160,8 +160,7 @@ def _read(folder: Folder, sandbox: Sandbox, in_memory: bool) -> Snapshot:
         files += _parquet(folder, info, subset)
     sources = []
     if files:
-        paths = database.files(files)
-        sources.append(f"SELECT * FROM read_parquet({paths}, union_by_name = true)")
+        sources.append(f"SELECT * FROM {manifest.parquet_source(files)}")
     if _waiting(folder, info, sandbox):
         sources.append("SELECT * FROM waiting")
     if not sources:
@@ -217,7 +216,12 @@ def _waiting(folder: Folder, info: dict[str, Any], sandbox: Sandbox) -> bool:
     """Read the finished subjects that wait for their shard into a table; whether there are any."""
     rows: list[dict[str, Any]] = []
     for subset in info["plan"]:
+        recorded = {
+            key for _, record in ledger.committed(folder.layout, subset) for key in record.subjects
+        }
         for path in folder.files(folder.layout.waiting(subset), ".json"):
+            if path.stem in recorded:
+                continue
             try:
                 found = manifest.decode_rows(path)
                 schema_of(found)

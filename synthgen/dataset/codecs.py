@@ -22,6 +22,7 @@ from assets_procedural.conventions.pictures import open_picture
 LARGEST = 4 << 30
 """Bytes that the arrays of one sample, or one panorama, may take once they are decoded."""
 _ARRAYS = 1000  # of an NPZ
+_PNG = b"\x89PNG\r\n\x1a\n"
 
 
 def encode_png(array: np.ndarray) -> bytes:
@@ -32,12 +33,29 @@ def encode_png(array: np.ndarray) -> bytes:
 
 
 def decode_png(data: bytes, most: int = LARGEST) -> np.ndarray:
-    """The inverse of `encode_png`."""
+    """The inverse of `encode_png`; `ValueError` if a checksum in the file does not hold."""
+    _check_png(data)
     with open_picture(data) as image:
         if image.mode not in ("L", "RGB", "RGBA"):
             raise ValueError(f"is a PNG of mode {image.mode}, not of 8 bits in grey, RGB or RGBA")
         _check_room(image.width * image.height * len(image.getbands()), most)
         return np.asarray(image)
+
+
+def _check_png(data: bytes) -> None:
+    """Compare the CRC of every chunk, of which Pillow skips those of the pixels."""
+    position = len(_PNG)
+    if not data.startswith(_PNG):
+        raise ValueError("not a PNG")
+    kind = b""
+    while kind != b"IEND":
+        length, kind = int.from_bytes(data[position : position + 4]), data[position + 4 :][:4]
+        end = position + 8 + length
+        if data[end : end + 4] != zlib.crc32(data[position + 4 : end]).to_bytes(4):
+            raise ValueError("changed since it was written (CRC)")
+        position = end + 4
+    if position != len(data):
+        raise ValueError("bytes after its end")
 
 
 def encode_exr(planes: dict[str, np.ndarray]) -> bytes:
@@ -83,7 +101,7 @@ def encode_npz(arrays: dict[str, np.ndarray]) -> bytes:
 
 
 def decode_npz(data: bytes, most: int = LARGEST) -> dict[str, np.ndarray]:
-    """The inverse of `encode_npz`."""
+    """The inverse of `encode_npz`; `ValueError` if a checksum in the file does not hold."""
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             entries = archive.infolist()
@@ -92,7 +110,8 @@ def decode_npz(data: bytes, most: int = LARGEST) -> dict[str, np.ndarray]:
             for entry in entries:
                 if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
                     raise ValueError(f"{entry.filename[:40]!r} is packed in another way than ours")
-            # An entry gives no more bytes than it claims.
+            # An entry gives no more bytes than it claims. It is read to its end, where its
+            # checksum is compared.
             _check_room(sum(entry.file_size for entry in entries), most)
             return {e.filename.removesuffix(".npy"): _array(archive.read(e)) for e in entries}
     except (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, NotImplementedError) as error:

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from assets_procedural.conventions.files import check_regular
+from synthgen.dataset.folder import StorageError
 
 if TYPE_CHECKING:
     import duckdb
@@ -39,8 +40,22 @@ def literal(text: str | Path) -> str:
 
 
 def files(paths: Iterable[Path]) -> str:
-    """Files as functions such as read_parquet take them: a list, in which nothing is a pattern."""
-    return "[" + ", ".join(literal(_MAGIC.sub(r"[\g<0>]", str(path))) for path in paths) + "]"
+    """Files as functions such as read_parquet take them: a list, in which nothing is a pattern.
+
+    Raises `StorageError` for a path that DuckDB cannot be told.
+    """
+    return "[" + ", ".join(literal(_pattern(path)) for path in paths) + "]"
+
+
+def _pattern(path: Path) -> str:
+    """A pattern that matches this path alone: DuckDB takes every path that it reads for one."""
+    # Absolute, so that none begins with ~ or with the name of a protocol.
+    name = str(path.absolute())
+    if _MAGIC.search(name) and "\\" in name:
+        raise StorageError(
+            f"{path}: DuckDB reads no path that has both \\ and one of *, ?, [ in it"
+        )
+    return _MAGIC.sub(r"[\g<0>]", name)
 
 
 def connect(threads: int = 1, **settings: Any) -> duckdb.DuckDBPyConnection:
@@ -75,9 +90,8 @@ def lock(
     run, allowed = connection.execute, []
     for path in readable:
         check_regular(path)
-        allowed.append(literal(path))
-        if _MAGIC.search(str(path)):
-            allowed.append(literal(_MAGIC.sub(r"[\g<0>]", str(path))))
+        # What is asked for is the pattern, and what is opened the file that it matches.
+        allowed += {literal(path.absolute()), literal(_pattern(path))}
     if written is not None:
         allowed.append(literal(written))
     run(f"SET memory_limit = {literal(memory)}")

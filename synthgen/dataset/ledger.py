@@ -2,13 +2,13 @@
 
 `synthgen.dataset.folder` says where it lies, `synthgen.dataset.records` what is written. A subject
 is done when its rows of the manifest exist, a shard when its record exists and its tar has the
-recorded size. Both are committed after what they vouch for.
+recorded size. Both are committed after what they vouch for, and hold the hashes of it, which
+`synthgen.farm.commit` compares.
 """
 
 from __future__ import annotations
 
 import contextlib
-import os
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -16,7 +16,7 @@ from pathlib import Path
 
 from assets_procedural.conventions.files import open_regular, read_regular, write_atomically
 from synthgen.dataset.codecs import encode_json
-from synthgen.dataset.folder import DatasetFolder, Place, ShardFiles, StorageError
+from synthgen.dataset.folder import NAME, DatasetFolder, Place, ShardFiles, StorageError
 from synthgen.dataset.records import (
     LARGEST_RECORD,
     Failure,
@@ -26,6 +26,7 @@ from synthgen.dataset.records import (
 )
 
 ATTEMPTS = 3
+_LOOKS = 5
 
 
 @dataclass(frozen=True)
@@ -46,19 +47,28 @@ def waiting(folder: DatasetFolder, subset: str, key: str) -> WaitingSubject | No
     return WaitingSubject(subset, key, files.waiting_tar, files.waiting_rows)
 
 
-def shard_record(folder: DatasetFolder, shard: str) -> ShardRecord | None:
-    """The record of a committed shard ("<subset>/<split>-000000.tar").
+def record_of(folder: DatasetFolder, shard: str) -> ShardRecord | None:
+    """The record of a shard ("<subset>/<split>-000000.tar"), whatever has become of its files.
 
-    None if there is none, or files that it vouches for are gone.
+    None if there is none, or it is damaged.
     """
     files = folder.shard(shard)
-    try:
+    with contextlib.suppress(OSError, StorageError):
         record = ShardRecord.parse(read_regular(files.record, LARGEST_RECORD), files.record)
-        if record.subjects:
+        if record.tar == folder.relative(files.tar):
+            return record
+    return None
+
+
+def shard_record(folder: DatasetFolder, shard: str) -> ShardRecord | None:
+    """As `record_of`; None too if files that it vouches for are gone or have another length."""
+    files, record = folder.shard(shard), record_of(folder, shard)
+    try:
+        if record is not None and record.subjects:
             if files.tar.stat().st_size != record.bytes:
                 return None
             files.rows.stat()
-    except (OSError, StorageError):
+    except OSError:
         return None
     return record
 
@@ -69,6 +79,27 @@ def committed(folder: DatasetFolder, subset: str) -> Iterator[tuple[ShardFiles, 
         with contextlib.suppress(OSError, StorageError):
             content = read_regular(files.record, LARGEST_RECORD)
             yield files, ShardRecord.parse(content, files.record)
+
+
+def contents(
+    folder: DatasetFolder, subset: str
+) -> tuple[list[tuple[ShardFiles, ShardRecord]], list[str]]:
+    """The committed shards of a subset, and the keys of the subjects that wait for theirs.
+
+    No subject is in both, and none is missed, although shards may be committed at this moment: the
+    work files of a subject are removed after the record that lists it is written.
+    """
+    shards, keys = [], []
+    for _ in range(_LOOKS):
+        before = {files.record for files in folder.committed(subset)}
+        keys = [path.stem for path in sorted(folder.waiting(subset).glob("*.json"))]
+        shards = list(committed(folder, subset))
+        # Else a shard was opened again, and its subjects may just have become waiting ones.
+        if before <= {files.record for files in folder.committed(subset)}:
+            break
+    recorded = {key for _, record in shards for key in record.subjects}
+    named = (key for key in keys if NAME.fullmatch(key))
+    return shards, [key for key in named if key not in recorded]
 
 
 # ---------------------------------------------------------------- failures
@@ -131,9 +162,9 @@ def slice_lock(folder: DatasetFolder, shard: tuple[int, int]) -> Iterator[None]:
 
     index, count = shard
     folder.locks.mkdir(parents=True, exist_ok=True)
-    with contextlib.ExitStack() as held:
+    with contextlib.ExitStack() as held, contextlib.ExitStack() as tried:
 
-        def lock(name: str, mode: int, patience: float) -> bool:
+        def lock(held: contextlib.ExitStack, name: str, mode: int, patience: float) -> bool:
             file = held.enter_context((folder.locks / name).open("a"))
             deadline = time.monotonic() + patience
             while True:
@@ -148,14 +179,16 @@ def slice_lock(folder: DatasetFolder, shard: tuple[int, int]) -> Iterator[None]:
 
         with shared_files_lock(folder):
             for path in folder.locks.glob("split-*"):
-                if path.name != f"split-{count}" and not lock(path.name, fcntl.LOCK_EX, 0.5):
+                own = path.name == f"split-{count}"
+                if not own and not lock(tried, path.name, fcntl.LOCK_EX, 0.5):
                     other = path.name.removeprefix("split-")
                     raise StorageError(
                         f"{folder}: being rendered in {other} slice(s), which overlap with a split "
                         f"into {count}; wait for that run or use the same --shard i/{other}"
                     )
-            lock(f"split-{count}", fcntl.LOCK_SH, 0.5)
-            if not lock(f"slice-{index}-of-{count}", fcntl.LOCK_EX, 0.5):
+            tried.close()  # else the next slice of this split would take us for another split
+            lock(held, f"split-{count}", fcntl.LOCK_SH, 0.5)
+            if not lock(held, f"slice-{index}-of-{count}", fcntl.LOCK_EX, 0.5):
                 what = "this dataset" if count == 1 else f"slice {index}/{count}"
                 raise StorageError(
                     f"{folder}: another process is rendering {what}; "
@@ -257,13 +290,12 @@ def status(out: Place) -> Status:
     subsets = []
     for name, planned in info.plan.items():
         subset = SubsetStatus(name, planned.subjects, planned.frames_per_subject)
-        for _, record in committed(folder, name):
+        shards, keys = contents(folder, name)
+        subset.waiting = len(keys)
+        for _, record in shards:
             subset.in_shards += len(record.subjects)
             subset.shards += 1
             subset.bytes += record.bytes
-        if folder.waiting(name).is_dir():
-            with os.scandir(folder.waiting(name)) as entries:
-                subset.waiting = sum(e.name.endswith(".json") for e in entries)
         subsets.append(subset)
     result = Status(folder.root, info.name, info.complete, subsets, failures=failures(folder))
     by_name = {s.name: s for s in subsets}

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import hashlib
 import json
 import os
 from collections.abc import Iterator
@@ -19,18 +20,24 @@ from assets_procedural.conventions.errors import one_line
 from assets_procedural.conventions.files import read_regular, replacing
 from synthgen.dataset import database, ledger
 from synthgen.dataset.codecs import encode_json
-from synthgen.dataset.columns import schema, schema_of
+from synthgen.dataset.columns import misfits, schema, schema_of
 from synthgen.dataset.folder import DamageError, DatasetFolder, Place, StorageError
-from synthgen.dataset.records import read_description
+from synthgen.dataset.records import Description, Seal, read_description
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     import duckdb
+
+    from synthgen.dataset.folder import ShardFiles
+    from synthgen.dataset.records import ShardRecord
 
 ROWS_PER_GROUP = 20_000
 MOST_SHOTS = 50_000_000
 """Rows of a manifest that are opened: a few bytes of Parquet can claim any number of them."""
 _LARGEST = 256 << 20  # bytes of the rows of one subject
 _WAITING = 2 << 30  # and of all that wait
+_TRIES = 5
 
 
 # ---------------------------------------------------------------- files
@@ -41,9 +48,51 @@ def encode_rows(rows: list[dict[str, Any]]) -> bytes:
     return b"".join(encode_json(r) + b"\n" for r in rows)
 
 
+def encode_waiting(rows: list[dict[str, Any]], seal: Seal) -> bytes:
+    """The rows of a subject that waits for its shard, and the seal of its files as last line.
+
+    `seal` is completed with the checksum of the rows.
+    """
+    content = encode_rows(rows)
+    sealed = seal.model_copy(update={"rows_sha256": hashlib.sha256(content).hexdigest()})
+    return content + encode_json({"seal": sealed.to_json()}) + b"\n"
+
+
+def decode_waiting(path: Path) -> tuple[list[dict[str, Any]], Seal | None]:
+    """The inverse of `encode_waiting`; older versions wrote no seal.
+
+    Raises `ValueError` if the file is not what was written, or a row does not fit the manifest.
+    """
+    rows, seal = _split(read_regular(path, _LARGEST))
+    decoded = [json.loads(line) for line in rows.splitlines()]
+    if not decoded or not rows.endswith(b"\n"):
+        raise ValueError(f"{path}: is cut short")
+    for row in decoded:
+        for problem in misfits(row):
+            raise ValueError(f"{path}: {problem}")
+    return decoded, seal
+
+
 def decode_rows(path: Path) -> list[dict[str, Any]]:
-    """The inverse of `encode_rows`."""
-    return [json.loads(line) for line in read_regular(path, _LARGEST).splitlines()]
+    """The rows of a subject that waits for its shard; raises as `decode_waiting`."""
+    return decode_waiting(path)[0]
+
+
+def _split(content: bytes) -> tuple[bytes, Seal | None]:
+    """The rows, and their seal if they have one, which must hold."""
+    rows, found, last = content.removesuffix(b"\n").rpartition(b"\n")
+    if not last.startswith(b'{"seal":'):
+        return content, None
+    rows += found
+    try:
+        seal = Seal.parse(encode_json(json.loads(last)["seal"]), "seal")
+    except (StorageError, KeyError, RecursionError) as error:
+        raise ValueError(str(error)) from None
+    if encode_json({"seal": seal.to_json()}) + b"\n" != content[len(rows) :]:
+        raise ValueError("its last line changed since it was written")
+    if hashlib.sha256(rows).hexdigest() != seal.rows_sha256:
+        raise ValueError("its rows changed since they were written")
+    return rows, seal
 
 
 def write_part(path: Path, rows: list[dict[str, Any]]) -> None:
@@ -77,21 +126,18 @@ def merge(folder: DatasetFolder, subset: str) -> Path:
     """Join the parts of all committed shards into the subset's manifest; bounded memory."""
     target = folder.manifest(subset)
     if parts := _parts(folder, subset):
-        _write_parquet(target, parts, f"SELECT * FROM {_parquet_source(parts)}")
+        _write_parquet(target, parts, f"SELECT * FROM {parquet_source(parts)}")
     else:
         columns = (f"NULL::{kind} AS {database.quoted(n)}" for n, kind in schema((), ()).items())
         _write_parquet(target, [], f"SELECT {', '.join(columns)} LIMIT 0")
     return target
 
 
-def files(folder: DatasetFolder, subset: str, complete: bool) -> list[Path]:
-    """The Parquet files that describe a subset: merged if `complete`, or the parts until then."""
-    merged = folder.manifest(subset)
-    return [merged] if complete and merged.exists() else _parts(folder, subset)
-
-
 def _parts(folder: DatasetFolder, subset: str) -> list[Path]:
-    shards = ledger.committed(folder, subset)
+    return _rows_of(ledger.committed(folder, subset))
+
+
+def _rows_of(shards: Iterable[tuple[ShardFiles, ShardRecord]]) -> list[Path]:
     return [files.rows for files, record in shards if record.subjects and files.rows.exists()]
 
 
@@ -113,8 +159,10 @@ def _write_parquet(target: Path, sources: list[Path], query_text: str) -> None:
         raise
 
 
-def _parquet_source(paths: list[Path]) -> str:
-    return f"read_parquet({database.files(paths)}, union_by_name = true)"
+def parquet_source(paths: list[Path]) -> str:
+    """An SQL table of Parquet files, whatever characters there are in their paths."""
+    # Else folders called `name=value` would become a column.
+    return f"read_parquet({database.files(paths)}, union_by_name = true, hive_partitioning = false)"
 
 
 def _json_source(path: Path, columns: dict[str, str]) -> str:
@@ -123,7 +171,7 @@ def _json_source(path: Path, columns: dict[str, str]) -> str:
     )
     return (
         f"SELECT * FROM read_json({database.files([path])}, format = 'newline_delimited', "
-        f"columns = {{{described}}})"
+        f"hive_partitioning = false, columns = {{{described}}})"
     )
 
 
@@ -142,55 +190,80 @@ def connect(out: Place, unlocked: bool = False) -> duckdb.DuckDBPyConnection:
     import duckdb
 
     folder = DatasetFolder(out)
-    info = read_description(folder)
-    parquet = {subset: files(folder, subset, info.complete) for subset in info.plan}
-    waiting = {subset: _waiting_rows(folder, subset) for subset in info.plan}
-    connection = database.connect()
-    try:
-        if not unlocked:
-            database.lock(connection, [path for paths in parquet.values() for path in paths])
-        views, known = [], {"manifest"}  # SQL takes names in any case
-        for number, subset in enumerate(info.plan):
-            sources = []
-            if paths := parquet[subset]:
-                sources.append(f"SELECT * FROM {_parquet_source(paths)}")
-            if rows := waiting[subset]:
-                fill(connection, f"waiting {number}", schema_of(rows), rows)
-                sources.append(f"SELECT * FROM {database.quoted(f'waiting {number}')}")
-            if sources:
-                source = " UNION ALL BY NAME ".join(sources)
-                views.append(source)
-                if subset.casefold() not in known:
-                    known.add(subset.casefold())
-                    connection.execute(f"CREATE VIEW {database.quoted(subset)} AS {source}")
-        if not views:
-            raise StorageError(f"{folder}: no subject is finished yet")
-        connection.execute(f"CREATE VIEW manifest AS {' UNION ALL BY NAME '.join(views)}")
-        ((shots,),) = connection.execute("SELECT count(*) FROM manifest").fetchall()
-        if shots > MOST_SHOTS:
-            raise StorageError(f"{folder}: lists {shots:,} shots; at most {MOST_SHOTS:,} are read")
-    except BaseException as error:
-        connection.close()
-        if isinstance(error, duckdb.Error | OSError):
-            reason = f"{folder}: the manifest cannot be read: {one_line(error)[:200]}"
-            raise DamageError(folder, reason) from None
-        raise
-    return connection
+    for left in reversed(range(_TRIES)):
+        connection = database.connect()
+        try:
+            _create_views(connection, folder, read_description(folder), unlocked)
+            return connection
+        except (duckdb.Error, OSError) as error:
+            connection.close()
+            # Work files go when their shard is committed: look again.
+            if not left or not isinstance(error, duckdb.IOException | FileNotFoundError):
+                reason = f"{folder}: the manifest cannot be read: {one_line(error)[:200]}"
+                raise DamageError(folder, reason) from None
+        except BaseException:
+            connection.close()
+            raise
+    raise AssertionError
 
 
-def _waiting_rows(folder: DatasetFolder, subset: str) -> list[dict[str, Any]]:
-    """Rows of the subjects that wait for their shard; those that are damaged or gone are not."""
+def _create_views(
+    connection: duckdb.DuckDBPyConnection,
+    folder: DatasetFolder,
+    info: Description,
+    unlocked: bool,
+) -> None:
+    parquet, waiting = {}, {}
+    for subset in info.plan:
+        shards, keys = ledger.contents(folder, subset)
+        merged = folder.manifest(subset)
+        parquet[subset] = [merged] if info.complete and merged.exists() else _rows_of(shards)
+        waiting[subset] = _waiting_rows(folder, subset, keys)
+    if not unlocked:
+        database.lock(connection, [path for paths in parquet.values() for path in paths])
+    views, known = [], {"manifest"}  # SQL takes names in any case
+    for number, subset in enumerate(info.plan):
+        sources = []
+        if paths := parquet[subset]:
+            sources.append(f"SELECT * FROM {parquet_source(paths)}")
+        if rows := waiting[subset]:
+            fill(connection, f"waiting {number}", schema_of(rows), rows)
+            sources.append(f"SELECT * FROM {database.quoted(f'waiting {number}')}")
+        if sources:
+            source = " UNION ALL BY NAME ".join(sources)
+            views.append(source)
+            if subset.casefold() not in known:
+                known.add(subset.casefold())
+                connection.execute(f"CREATE VIEW {database.quoted(subset)} AS {source}")
+    if not views:
+        raise StorageError(f"{folder}: no subject is finished yet")
+    connection.execute(f"CREATE VIEW manifest AS {' UNION ALL BY NAME '.join(views)}")
+    ((shots,),) = connection.execute("SELECT count(*) FROM manifest").fetchall()
+    if shots > MOST_SHOTS:
+        raise StorageError(f"{folder}: lists {shots:,} shots; at most {MOST_SHOTS:,} are read")
+
+
+def _waiting_rows(folder: DatasetFolder, subset: str, keys: list[str]) -> list[dict[str, Any]]:
+    """Rows of subjects that wait for their shard; those that are damaged are left out.
+
+    Raises `FileNotFoundError` if one has gone meanwhile: it is in its shard now.
+    """
     rows: list[dict[str, Any]] = []
     names: dict[str, str] = {}  # SQL takes them in any case
     left = _WAITING
-    for path in sorted(folder.waiting(subset).glob("*.json")):
-        with contextlib.suppress(OSError, ValueError, RecursionError, StorageError):
+    for path in (folder.subject(subset, key).waiting_rows for key in keys):
+        try:
             left -= path.stat().st_size
             if left < 0:
                 break
             found = decode_rows(path)
             if all(names.setdefault(name.casefold(), name) == name for name in schema_of(found)):
                 rows += found
+        except FileNotFoundError:
+            if not path.is_symlink():
+                raise
+        except (OSError, ValueError, RecursionError, StorageError):
+            continue  # it is rendered again
     return rows
 
 

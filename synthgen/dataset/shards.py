@@ -8,6 +8,7 @@ times, owners, and the headers inside PNG, EXR and NPZ.
 from __future__ import annotations
 
 import hashlib
+import itertools
 import os
 import tarfile
 from collections.abc import Iterable, Iterator
@@ -202,22 +203,41 @@ def read_members(path: Path, offset: int, size: int) -> Iterator[tuple[str, int,
 
 
 def read_sample(
-    path: Path, offset: int, size: int, wanted: Iterable[str] | None = None
+    path: Path, offset: int, size: int, key: str, wanted: Iterable[str] | None = None
 ) -> dict[str, bytes]:
-    """The members of one sample (key stripped from the names), or only those `wanted`."""
+    """The members of the sample `key` (which is stripped from the names), or only those `wanted`.
+
+    Raises `ValueError` if the bytes are not whole tar entries of this sample, or too many.
+    """
     members: dict[str, bytes] = {}
     left = LARGEST
     for name, _, data in read_members(path, offset, size):
+        owner, _, field = name.partition(".")
+        if owner != key:
+            raise ValueError(f"{path.name}: holds {owner[:80]!r} where {key} should be")
         left -= len(data)
         if left < 0:
             raise ValueError(f"{path.name}: a sample of more than {LARGEST >> 30} GB")
-        members[name.partition(".")[2]] = data
+        members[field] = data
     return members if wanted is None else {name: members[name] for name in wanted}
 
 
-def concatenate(parts: Iterable[Path], target: Path) -> tuple[list[int], int, str]:
-    """Commit a shard made of subject files: (start of every part, size, sha256)."""
-    digest, starts = hashlib.sha256(), []
+class Changed(ValueError):
+    """A part of a shard is not what its checksum says; `place` is its number."""
+
+    def __init__(self, path: Path, place: int) -> None:
+        super().__init__(f"{path}: changed since it was written")
+        self.place = place
+
+
+def concatenate(
+    parts: Iterable[Path], target: Path, checksums: Iterable[str | None] = itertools.repeat(None)
+) -> tuple[list[int], int, str, list[str]]:
+    """Commit a shard made of subject files: (start of every part, size, sha256, that of each part).
+
+    Raises `Changed` where a part has another sha256 than `checksums` gives for it.
+    """
+    digest, starts, digests = hashlib.sha256(), [], []
     with replacing(target) as file:
 
         def put(block: bytes) -> None:
@@ -225,13 +245,18 @@ def concatenate(parts: Iterable[Path], target: Path) -> tuple[list[int], int, st
             digest.update(block)
 
         position = 0
-        for part in parts:
+        for place, (part, expected) in enumerate(zip(parts, checksums, strict=False)):
             starts.append(position)
+            own = hashlib.sha256()
             with part.open("rb") as source:
                 while block := source.read(1 << 22):
                     put(block)
+                    own.update(block)
                     position += len(block)
+            digests.append(own.hexdigest())
+            if expected not in (None, digests[-1]):
+                raise Changed(part, place)
         tail = 2 * BLOCK
         tail += -(position + tail) % tarfile.RECORDSIZE
         put(bytes(tail))
-    return starts, position + tail, digest.hexdigest()
+    return starts, position + tail, digest.hexdigest(), digests

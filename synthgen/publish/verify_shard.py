@@ -148,6 +148,8 @@ def _sample(
 ) -> Iterator[str]:
     problems, quality = inspect(shot)
     yield from problems
+    if shot.meta.get("key") != shot.key:
+        yield f"its meta.json is of {str(shot.meta.get('key'))[:40]}"
     if problems:
         return
     if against_plan is not None:

@@ -61,7 +61,7 @@ def replace(out: Path, **changes: bytes) -> None:
     dataset = open_dataset(out)
     index, position = dataset.index, dataset.position(SHOT)
     place = int(index.offset[position]), int(index.size[position])
-    members = read_sample(out / index.shards[index.shard[position]], *place) | {
+    members = read_sample(out / index.shards[index.shard[position]], *place, "s000002_p01") | {
         name.replace("__", "."): content for name, content in changes.items()
     }
     content = b"".join(tar_entry(f"s000002_p01.{n}", c) for n, c in members.items())
