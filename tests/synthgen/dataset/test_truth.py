@@ -147,7 +147,7 @@ def test_work_files_that_vanish_while_they_are_listed_are_looked_for_again(
 def test_a_file_that_is_gone_for_good_is_an_error(out: Path):
     dataset = open_dataset(out, subset="multiview")
     (out / "data" / SHARD).unlink()
-    with pytest.raises(FileNotFoundError):
+    with pytest.raises(StorageError, match=r"s000000_p00: .*No such file"):
         dataset["s000000_p00"]
 
 
