@@ -78,7 +78,7 @@ def jobs() -> None:
         subsets = load_job(file).subsets.values()
         people = sum(s.subjects for s in subsets)
         frames = sum(s.subjects * s.shots * s.environments for s in subsets)
-        table.add_row(name, f"{people:,}", f"{frames:,}", console.escape(purpose(file)))
+        table.add_row(name, f"{people:,}", f"{frames:,}", purpose(file))
     console.stdout().print(table)
 
 
@@ -194,10 +194,12 @@ def render(
     screen = console.stdout()
     done = f"{console.count(summary.rendered, 'subject')}, {console.count(summary.frames, 'frame')}"
     took = console.duration(summary.seconds)
+    for line in summary.mended:
+        screen.print(line, soft_wrap=True)
     screen.print(f"{done} in {took}" + ("; the dataset is complete" if summary.complete else ""))
     for entry in summary.failed:
         reason = f"{entry.reason} ({entry.log})"
-        screen.print(console.escape(f"failed: {entry.subset}/{entry.key}: {reason}"))
+        screen.print(f"failed: {entry.subset}/{entry.key}: {reason}")
     if summary.failed:
         raise typer.Exit(1)
 
@@ -219,13 +221,13 @@ def status(out: Dataset, as_json: AsJson = False) -> None:
         _print_json(_status_as_json(state))
         return
     screen = console.stdout()
-    table = Table(title=console.escape(f"{state.name} in {out}"), title_justify="left")
+    table = Table(title=f"{state.name} in {out}", title_justify="left")
     table.add_column("subset")
     for column in ("subjects", "done", "given up", "shards", "size"):
         table.add_column(column, justify="right")
     for s in state.subsets:
         counts = [f"{n:,}" for n in (s.subjects, s.done, s.failed, s.shards)]
-        table.add_row(console.escape(s.name), *counts, console.size(s.bytes))
+        table.add_row(s.name, *counts, console.size(s.bytes))
     screen.print(table)
     done, total = state.frames
     line = f"{done:,} of {console.count(total, 'frame')}"
@@ -236,22 +238,57 @@ def status(out: Dataset, as_json: AsJson = False) -> None:
         line += f", {console.duration(state.seconds_left)} left"
     screen.print(line + ("; complete" if state.complete else ""))
     for entry in state.running:
-        where = console.escape(f"{entry.subset}/{entry.key}")
-        screen.print(f"running: {where} for {console.duration(entry.seconds)}")
+        screen.print(f"running: {entry.subset}/{entry.key} for {console.duration(entry.seconds)}")
     for entry in state.failures:
         tries = console.count(entry.attempts, "attempt")
-        screen.print(console.escape(f"failed: {entry.subset}/{entry.key}, {tries}: {entry.reason}"))
+        screen.print(f"failed: {entry.subset}/{entry.key}, {tries}: {entry.reason}")
 
 
 @app.command()
-def verify(out: Dataset) -> None:
-    """Check every file of a dataset; prints what is wrong and exits with 1 if anything is."""
+def verify(
+    out: Dataset,
+    repair: Annotated[
+        bool, typer.Option("--repair", help="Make again what is damaged or missing, then check.")
+    ] = False,
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="With --repair: as `render` has it.")
+    ] = None,
+    threads: Threads = 1,
+    device: Device = "cpu",
+    renderer: Renderer = DEFAULT_RENDERER,
+) -> None:
+    """Check every file of a dataset; prints what is wrong and exits with 1 if anything is.
+
+    With --repair, exactly what is damaged or missing is rendered or written again, by the version
+    of the code that made the dataset. Files that the dataset does not have are left alone.
+    """
+    from synthgen.dataset.folder import StorageError
     from synthgen.publish.verify import verify as check
 
-    problems = check(out)
     screen = console.stdout()
-    for problem in problems:
-        screen.print(console.escape(problem), soft_wrap=True)
+
+    def show(lines: list[str]) -> None:
+        for line in lines:
+            screen.print(line, soft_wrap=True)
+
+    try:
+        problems = check(out)
+    except StorageError as error:
+        if not repair:
+            raise
+        problems = [str(error)]
+    show(problems)
+    if repair and problems:
+        from synthgen.farm import preflight
+        from synthgen.farm.repair import repair as mend
+
+        preflight.check_device(device)
+        summary = mend(out, workers, threads, device, renderer)
+        show([f"repaired: {line}" for line in summary.mended])
+        count = f"{summary.rendered} subject{'' if summary.rendered == 1 else 's'}"
+        screen.print(f"{count} rendered again; checking")
+        problems = check(out)
+        show(problems)
     if problems:
         screen.print(f"{len(problems)} problem{'s' if len(problems) > 1 else ''} in {out}")
         raise typer.Exit(1)
@@ -271,7 +308,7 @@ def show(
     from synthgen.pictures import shot_sheet
 
     target = output or _beside(out, f"-{key.replace('/', '-')}.png")
-    typer.echo(shot_sheet.show(out, key, target, subset=subset))
+    console.say(shot_sheet.show(out, key, target, subset=subset))
 
 
 @app.command()
@@ -289,7 +326,7 @@ def sheet(
     from synthgen.pictures import sheet as drawing
 
     draw = drawing.portraits if portraits else drawing.sheet
-    typer.echo(draw(out, output or _beside(out, ".png")))
+    console.say(draw(out, output or _beside(out, ".png")))
 
 
 @app.command()
@@ -299,6 +336,10 @@ def rerender(
     subset: Subset = None,
     device: Device = "cpu",
     threads: Threads = 1,
+    renderer: Annotated[
+        str | None,
+        typer.Option(help="Run this one, package.module:function; a dataset may name ours alone."),
+    ] = None,
 ) -> None:
     """Render one shot again from what the dataset records, and report any difference."""
     from synthgen.farm import preflight
@@ -306,8 +347,8 @@ def rerender(
 
     preflight.check_device(device)
     with console.progress(f"rendering {key} again"):
-        report = again(out, key, subset=subset, device=device, threads=threads)
-    typer.echo(report)
+        report = again(out, key, subset=subset, device=device, threads=threads, renderer=renderer)
+    console.say(report)
 
 
 @app.command()
@@ -326,12 +367,16 @@ def query(
         Path | None,
         typer.Option("--output", metavar="FILE", show_default="stdout", help="File to write."),
     ] = None,
+    unlocked: Annotated[
+        bool,
+        typer.Option("--unlocked", help="Let the query read and write other files and settings."),
+    ] = False,
 ) -> None:
     """Query the manifest in SQL (DuckDB)."""
     from synthgen.dataset import manifest
     from synthgen.publish import answers
 
-    with manifest.answering(out, sql) as answer:
+    with manifest.answering(out, sql, unlocked) as answer:
         answers.write(answer, format_, output)
 
 
@@ -359,7 +404,7 @@ def export(
 
     write = {"nerfstudio": nerfstudio}[format_]
     chosen = open_dataset(out, subset=subset, split=split, where=where)
-    typer.echo(write(chosen, target or _beside(out, f"-{format_}")))
+    console.say(write(chosen, target or _beside(out, f"-{format_}")))
 
 
 @app.command()
@@ -385,7 +430,7 @@ def browse(
 
             webbrowser.open(address)
 
-    serve(out, host, port, cache, typer.echo, ready)
+    serve(out, host, port, cache, console.say, ready)
 
 
 def _beside(out: Path, ending: str) -> Path:
@@ -406,7 +451,8 @@ def _beside(out: Path, ending: str) -> Path:
 def _print_json(answer: dict[str, Any]) -> None:
     import json
 
-    typer.echo(json.dumps(answer, indent=1, ensure_ascii=False))
+    # Escaped in ASCII: a terminal obeys more characters than JSON escapes otherwise.
+    typer.echo(json.dumps(answer, indent=1))
 
 
 def _status_as_json(state: Status) -> dict[str, Any]:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 import totalediting
+from assets_procedural.conventions import console
 from assets_procedural.conventions.command_line import print_version, run
 from totalediting.errors import InputError
 from totalediting.presets import PRESETS, preset_with
@@ -111,13 +112,13 @@ def bake(
     stored = lightmaps.bake(light, size, normalised=False) if unnormalised else maps
     source, _ = panorama_reading.split(environment)
     write_lightmaps(out, stored, source, normalised=not unnormalised)
-    typer.echo(out)
+    console.say(out)
     if picture is not None:
         pictures.draw_lightmaps(light, maps, environment.name, picture)
-        typer.echo(picture)
+        console.say(picture)
     if ball is not None:
         pictures.draw_ball(light, maps, colour, diffuse, specular, ball)
-        typer.echo(ball)
+        console.say(ball)
 
 
 @app.command()
@@ -233,7 +234,7 @@ def show(
     """Draw what a trained run makes of people it has not seen."""
     from totalediting.training import showcase
 
-    typer.echo(showcase.draw(run, data, output or run.with_name(run.name + ".png")))
+    console.say(showcase.draw(run, data, output or run.with_name(run.name + ".png")))
 
 
 def _print_figures(found: dict[str, dict[str, float]]) -> None:
@@ -242,7 +243,7 @@ def _print_figures(found: dict[str, dict[str, float]]) -> None:
 
     for stage, values in found.items():
         for name, value in values.items():
-            typer.echo(f"{stage}: {figures.label(name)}: {figures.shown(name, value)}")
+            console.say(f"{stage}: {figures.label(name)}: {figures.shown(name, value)}")
 
 
 def _numbers(

@@ -207,9 +207,10 @@ def _read_target(path: Path, vertices: int) -> np.ndarray:
 
 def _sample_mask(path: Path, faces: np.ndarray, uv: np.ndarray, vertices: int) -> np.ndarray:
     """A painted grey texture at every vertex, in [0, 1]; vertices off the skin get 0."""
-    from PIL import Image
+    from assets_procedural.conventions.pictures import open_picture
 
-    picture = np.asarray(Image.open(path).convert("L"), np.float32) / 255
+    with open_picture(path) as image:
+        picture = np.asarray(image.convert("L"), np.float32) / 255
     height, width = picture.shape
     column = np.clip((uv[..., 0] * width).astype(int), 0, width - 1)
     row = np.clip(((1 - uv[..., 1]) * height).astype(int), 0, height - 1)

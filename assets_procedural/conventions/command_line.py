@@ -184,10 +184,10 @@ class _ConsoleHandler(logging.Handler):
     """One unwrapped line per message; warnings and errors are marked as such."""
 
     def emit(self, record: logging.LogRecord) -> None:
-        level = (
-            f"[bold yellow]{record.levelname.lower()}:[/] " if record.levelno > logging.INFO else ""
-        )
-        console.stderr().print(level + console.escape(record.getMessage()), soft_wrap=True)
+        if record.levelno > logging.INFO:
+            _say(record.getMessage(), f"{record.levelname.lower()}: ", "bold yellow")
+        else:
+            _say(record.getMessage())
 
 
 def _open_streams() -> None:
@@ -202,13 +202,16 @@ def _open_streams() -> None:
 
 
 def _end(line: str) -> NoReturn:
-    _say(f"[bold red]error:[/] {console.escape(line)}")
+    _say(line, "error: ", "bold red")
     _exit(2)
 
 
-def _say(markup: str) -> None:
+def _say(line: str, mark: str = "", style: str = "") -> None:
+    """Print a line on stderr, led by a coloured word."""
+    from rich.text import Text
+
     with contextlib.suppress(OSError):  # stderr may be gone as well
-        console.stderr().print(markup, soft_wrap=True)
+        console.stderr().print(Text(mark, style) + Text(console.printable(line)), soft_wrap=True)
 
 
 def _exit(code: int) -> NoReturn:

@@ -8,7 +8,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
-from typing import TYPE_CHECKING, NoReturn, TypeVar
+from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -19,30 +19,39 @@ FIRST_LINE = 0.5
 """Seconds after which long work says for the first time how far it is."""
 LINE_EVERY = 30.0
 """Seconds between its lines where stderr is no terminal."""
-_CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
+_CONTROL = re.compile(
+    r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]"
+)
 
 
 def stdout() -> Console:
-    """Where answers go."""
+    """Where answers go. What is printed is plain text: no markup, and `printable`."""
     # A pipe has no width of its own, and 80 columns would break tables and paths.
     return _console(highlight=False, width=None if sys.stdout.isatty() else 160)
 
 
 def stderr() -> Console:
-    """Where errors and progress go."""
+    """Where errors and progress go; as `stdout`."""
     return _console(stderr=True, highlight=False)
 
 
 def _console(**options: bool | int | None) -> Console:
     from rich.console import Console
+    from rich.text import Text
 
-    class Pipe(Console):
-        """A console that leaves it to `command_line.run` to end where nobody reads any more."""
+    class Plain(Console):
+        """Takes every string for somebody else's words; `Text` is ours, and may have colours.
+
+        Where nobody reads any more it is left to `command_line.run` to end.
+        """
+
+        def render_str(self, text: str, **options: Any) -> Text:
+            return super().render_str(printable(text), **options)
 
         def on_broken_pipe(self) -> NoReturn:
             raise BrokenPipeError
 
-    return Pipe(**options)  # pyright: ignore[reportArgumentType]
+    return Plain(markup=False, emoji=False, **options)  # pyright: ignore[reportArgumentType]
 
 
 # ---------------------------------------------------------------- progress
@@ -86,14 +95,19 @@ def progress(what: str, total: int | None = None) -> Iterator[Callable[[int, int
         return
     from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-    columns = (SpinnerColumn(), BarColumn(), TextColumn("{task.fields[text]}"), TimeElapsedColumn())
+    columns = (
+        SpinnerColumn(),
+        BarColumn(),
+        TextColumn("{task.fields[text]}", markup=False),
+        TimeElapsedColumn(),
+    )
     with Progress(*columns, console=stderr(), transient=True) as bar:
-        task = bar.add_task("", total=total, text=escape(shown()))
+        task = bar.add_task("", total=total, text=printable(shown()))
 
         def update(done: int, total: int | None) -> None:
             nonlocal state
             state = (done, total)
-            bar.update(task, completed=done, total=total, text=escape(shown()))
+            bar.update(task, completed=done, total=total, text=printable(shown()))
 
         yield update
 
@@ -125,16 +139,17 @@ def lines(text: Callable[[], str]) -> Iterator[None]:
 # ---------------------------------------------------------------- words
 
 
-def escape(text: str) -> str:
-    """Text in which rich sees no markup and a terminal no commands."""
-    from rich.markup import escape
-
-    return escape(printable(text))
+def say(answer: object) -> None:
+    """Print an answer as it is, in as many lines as it has, but for what a terminal would obey."""
+    print(printable(str(answer)), flush=True)
 
 
 def printable(text: str) -> str:
-    r"""Words of somebody else for a terminal: control characters as \x1b, so that it obeys none."""
-    return _CONTROL.sub(lambda found: f"\\x{ord(found[0]):02x}", text)
+    r"""Words of somebody else for a terminal: control characters as \x1b, so that it obeys none.
+
+    So are the marks that turn the direction of writing, and half characters.
+    """
+    return _CONTROL.sub(lambda found: ascii(found[0])[1:-1], text)
 
 
 def count(number: int, what: str, several: str = "") -> str:

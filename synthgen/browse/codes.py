@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 
 from synthgen.browse.fields import Column
-from synthgen.browse.sandbox import Sandbox, quoted
+from synthgen.browse.sandbox import Sandbox
+from synthgen.dataset.database import quoted
 
 BINS = 32
 """Bins of a histogram, from a column's smallest to its largest finite value."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 import threading
 from collections import OrderedDict
 from typing import Any
@@ -12,7 +11,6 @@ import numpy as np
 from assets_procedural.conventions.colour import srgb_decode
 from synthgen.browse.folder import Refused
 from synthgen.browse.samples import Broken, Sample
-from synthgen.dataset.codecs import decode_exr
 from synthgen.dataset.passes import PASSES, named
 from synthgen.dataset.shards import decode, decode_fields
 from synthgen.dataset.shot import Shot
@@ -21,7 +19,7 @@ from synthgen.pictures.drawing import PICTURES
 VALUES = ("image", "linear", *(p.name for p in PASSES))
 """What `values` gives the numbers of."""
 _KEPT = 4
-_LARGEST = 8192  # pixels on a side; more is not decoded
+_MOST = 1 << 30  # bytes of a shot, once it is decoded; a request decodes one
 
 
 class Decoder:
@@ -65,8 +63,12 @@ class Decoder:
             return shot.rgb[_environment(shot, environment)]
         if name == "linear":
             member = f"hdr_{_environment(shot, environment):02d}.exr"
-            planes = decode_exr(_bounded(member, sample.read(member)))
-            return np.stack([planes[c] for c in "RGBA"], -1).astype(np.float32)
+            try:
+                return decode_fields({member: sample.read(member)}, _MOST)[member[:-4]].astype(
+                    np.float32
+                )
+            except ValueError as error:
+                raise Broken(_first_line(error)) from None
         array, wanted = shot.passes[name], named(name)
         if wanted is not None and wanted.drawn == "colour":
             return srgb_decode(array.astype(np.float32) / np.float32(255))
@@ -92,41 +94,19 @@ def metadata(sample: Sample) -> dict[str, Any]:
 
 
 def _decode(sample: Sample) -> Shot:
-    wanted = [name for name in sample.members if not name.startswith("hdr_")]
+    wanted = [m for m in sample.members.values() if not m.name.startswith("hdr_")]
+    if sum(member.size for member in wanted) > _MOST:
+        raise Broken(f"it has more than {_MOST >> 30} GB")
     try:
-        content = {name: _bounded(name, sample.read(name)) for name in wanted}
-        shot = decode(sample.key, content)
+        return decode(sample.key, {m.name: sample.read(m.name) for m in wanted}, _MOST)
     except KeyError as error:
         raise Broken(f"{error.args[0]} is missing") from None
     except (ValueError, MemoryError) as error:
         raise Broken(_first_line(error)) from None
-    size = shot.depth.shape[:2]
-    for name, array in shot.passes.items():
-        if array.shape[:2] != size:
-            raise Broken(f"{name} has another size than depth")
-    return shot
 
 
 def _first_line(error: Exception) -> str:
     return (str(error).splitlines() or [type(error).__name__])[0][:200]
-
-
-def _bounded(name: str, data: bytes) -> bytes:
-    """The data, unless it says that it holds a picture too large for any dataset."""
-    width = height = 0
-    if name.endswith(".png") and len(data) > 24:
-        width, height = struct.unpack(">II", data[16:24])
-    elif name.endswith(".exr"):
-        mark = b"dataWindow\0box2i\0\x10\0\0\0"
-        at = data.find(mark, 0, 1 << 16)
-        if at >= 0 and len(data) >= at + len(mark) + 16:
-            left, top, right, bottom = struct.unpack_from("<4i", data, at + len(mark))
-            width, height = right - left + 1, bottom - top + 1
-    if max(width, height) > _LARGEST:
-        raise Broken(
-            f"{name} claims {width} x {height} pixels; at most {_LARGEST} a side are decoded"
-        )
-    return data
 
 
 def _environment(shot: Shot, environment: int) -> int:

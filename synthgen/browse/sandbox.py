@@ -15,6 +15,7 @@ import duckdb
 import numpy as np
 
 from synthgen.browse.folder import Refused
+from synthgen.dataset import database
 
 SECONDS = 10.0
 """What a query may take."""
@@ -24,16 +25,6 @@ _LONGEST = 4000  # characters of a condition
 _SCRATCH = 1 << 30  # bytes that queries may take beside the table
 
 
-def quoted(name: str) -> str:
-    """A column's name as an SQL identifier."""
-    return '"' + name.replace('"', '""') + '"'
-
-
-def literal(text: str | Path) -> str:
-    """A text as an SQL literal."""
-    return "'" + str(text).replace("'", "''") + "'"
-
-
 class Sandbox:
     """A database in memory. Fill it through `connection`, then `lock` it, then only `ask`.
 
@@ -41,28 +32,15 @@ class Sandbox:
     """
 
     def __init__(self, threads: int) -> None:
-        self.connection = duckdb.connect(
-            ":memory:",
-            config={
-                "threads": threads,
-                "autoinstall_known_extensions": False,
-                "autoload_known_extensions": False,
-                "allow_community_extensions": False,
-                # Else names in FROM may be variables of this program.
-                "python_enable_replacements": False,
-            },
-        )
+        # Until it is locked it holds the table, however large that is.
+        self.connection = database.connect(threads, memory_limit="80%")
 
     def lock(self, readable: list[Path]) -> None:
         """Shut the database to all files but `readable`, and to any change of its settings."""
-        run = self.connection.execute
-        used = run("SELECT sum(memory_usage_bytes) FROM duckdb_memory()").fetchone()
-        run(f"SET memory_limit = '{int(used[0] if used else 0) + _SCRATCH} B'")
-        run("SET temp_directory = ''")
-        if readable:
-            run(f"SET allowed_paths = [{', '.join(map(literal, readable))}]")
-        run("SET enable_external_access = false")
-        run("SET lock_configuration = true")
+        sql = "SELECT sum(memory_usage_bytes) FROM duckdb_memory()"
+        used = self.connection.execute(sql).fetchone()
+        most = int(used[0] if used else 0) + _SCRATCH
+        database.lock(self.connection, readable, memory=f"{most} B")
 
     def ask(self, sql: str, values: list[Any] | None = None) -> list[tuple[Any, ...]]:
         """The rows of one SELECT. Raises `Refused` (400) for a wrong one or one that takes long."""
@@ -102,6 +80,12 @@ class Sandbox:
             raise Refused(f"where: longer than {_LONGEST} characters; shorten it", 400)
         if "\0" in condition:
             raise Refused("where: contains a null byte; remove it", 400)
+        try:
+            self._check_tree(condition)
+        except RecursionError:
+            raise Refused("where: is nested too deeply; simplify it", 400) from None
+
+    def _check_tree(self, condition: str) -> None:
         # Without brackets, else `a) OR (b` would be one expression and two in our sentence.
         self._parsed(f"SELECT 1 FROM manifest WHERE {condition}\n")
         found = self._parsed(f"SELECT 1 FROM manifest WHERE ({condition}\n)")

@@ -18,8 +18,8 @@ from typing import Any
 
 from synthgen.browse.fields import Column
 from synthgen.browse.folder import Refused
-from synthgen.browse.sandbox import quoted
 from synthgen.browse.snapshot import Snapshot
+from synthgen.dataset.database import quoted
 
 _MOST = 500  # values of all facets together
 _FEW = 8

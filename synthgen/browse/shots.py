@@ -8,9 +8,9 @@ from typing import Any
 
 from synthgen.browse.fields import GRID
 from synthgen.browse.folder import Refused
-from synthgen.browse.sandbox import quoted
 from synthgen.browse.selection import Selection
 from synthgen.browse.snapshot import Snapshot
+from synthgen.dataset.database import quoted
 
 PLACE = ("key", "shard", "offset", "size", "failed", "reason")
 """Columns that say where the bytes of a shot lie."""

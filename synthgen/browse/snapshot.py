@@ -11,9 +11,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import json
 import os
-import re
 import threading
 import time
 from dataclasses import dataclass
@@ -22,18 +20,19 @@ from typing import Any
 
 import duckdb
 
+from assets_procedural.conventions.files import read_regular
 from synthgen.browse.codes import Codes
 from synthgen.browse.fields import LEFT_OUT, Column, column
 from synthgen.browse.folder import Folder, Refused
 from synthgen.browse.matches import Matches
-from synthgen.browse.sandbox import Sandbox, literal, quoted
-from synthgen.dataset import manifest
+from synthgen.browse.sandbox import Sandbox
+from synthgen.dataset import ledger, manifest
 from synthgen.dataset.columns import IDENTITY, PLACE, schema_of
+from synthgen.dataset.database import quoted
 from synthgen.dataset.folder import NAME, StorageError
 from synthgen.dataset.ledger import ATTEMPTS
-from synthgen.dataset.records import Failure, ShardRecord
+from synthgen.dataset.records import LARGEST_RECORD, Failure, ShardRecord
 
-_NAME = re.compile(r"\w{1,128}", re.ASCII)
 _SETTLE = 2.0  # seconds between two checks of the folder
 _REST = 10.0  # loads' durations of rest between two: rendering needs the cores, too
 _SMALL = 20_000  # shots that are read into memory before anything is served
@@ -161,8 +160,7 @@ def _read(folder: Folder, sandbox: Sandbox, in_memory: bool) -> Snapshot:
         files += _parquet(folder, info, subset)
     sources = []
     if files:
-        paths = ", ".join(map(literal, files))
-        sources.append(f"SELECT * FROM read_parquet([{paths}], union_by_name = true)")
+        sources.append(f"SELECT * FROM {manifest.parquet_source(files)}")
     if _waiting(folder, info, sandbox):
         sources.append("SELECT * FROM waiting")
     if not sources:
@@ -208,7 +206,7 @@ def _parquet(folder: Folder, info: dict[str, Any], subset: str) -> list[Path]:
     found = []
     for path in folder.files(folder.layout.records(subset), ".json"):
         with contextlib.suppress(OSError, StorageError, Refused):
-            if ShardRecord.parse(path.read_bytes(), path).subjects:
+            if ShardRecord.parse(read_regular(path, LARGEST_RECORD), path).subjects:
                 rows = folder.layout.shard(f"{subset}/{path.stem}.tar").rows
                 found.append(folder.file(rows))
     return found
@@ -218,19 +216,21 @@ def _waiting(folder: Folder, info: dict[str, Any], sandbox: Sandbox) -> bool:
     """Read the finished subjects that wait for their shard into a table; whether there are any."""
     rows: list[dict[str, Any]] = []
     for subset in info["plan"]:
+        recorded = {
+            key for _, record in ledger.committed(folder.layout, subset) for key in record.subjects
+        }
         for path in folder.files(folder.layout.waiting(subset), ".json"):
-            try:
-                rows += manifest.decode_rows(path)
-            except (OSError, ValueError):
+            if path.stem in recorded:
                 continue
-    rows = [r for r in rows if isinstance(r, dict) and all(_NAME.fullmatch(n) for n in r)]
+            try:
+                found = manifest.decode_rows(path)
+                schema_of(found)
+                rows += found
+            except (OSError, ValueError, RecursionError):
+                continue
     if not rows:
         return False
-    try:
-        columns = schema_of(rows)
-    except ValueError:
-        return False
-    _fill(sandbox, "waiting", columns, rows)
+    manifest.fill(sandbox.connection, "waiting", schema_of(rows), rows)
     return True
 
 
@@ -239,40 +239,20 @@ def _failures(folder: Folder, info: dict[str, Any], sandbox: Sandbox) -> int:
     for subset in info["plan"]:
         for path in folder.files(folder.layout.failed(subset), ".json"):
             try:
-                entry = Failure.parse(path.read_bytes(), path)
+                entry = Failure.parse(read_regular(path, LARGEST_RECORD), path)
             except (OSError, StorageError):
                 continue
             if NAME.fullmatch(entry.key) and entry.attempts >= ATTEMPTS:
                 row = {"key": entry.key, "subject": entry.key, "subset": subset}
                 rows.append(row | {"reason": entry.reason})
     described = dict.fromkeys(("key", "subject", "subset", "reason"), "VARCHAR")
-    _fill(
-        sandbox, "failures", described | {"failed": "BOOLEAN"}, [r | {"failed": True} for r in rows]
+    manifest.fill(
+        sandbox.connection,
+        "failures",
+        described | {"failed": "BOOLEAN"},
+        [r | {"failed": True} for r in rows],
     )
     return len(rows)
-
-
-def _fill(
-    sandbox: Sandbox, table: str, columns: dict[str, str], rows: list[dict[str, Any]]
-) -> None:
-    """A table of rows, which DuckDB reads as JSON: lists, maps and structures keep their types."""
-    described = ", ".join(f"{quoted(n)} {kind}" for n, kind in columns.items())
-    run = sandbox.connection.execute
-    run(f"CREATE TABLE {table} ({described})")
-    if rows:
-        shape = (
-            "{" + ", ".join(f"{json.dumps(n)}: {json.dumps(k)}" for n, k in columns.items()) + "}"
-        )
-        run(
-            f"INSERT INTO {table} SELECT unnest(from_json(line, ?)) "
-            "FROM (SELECT unnest(?) AS line)",
-            [shape, [_line(r) for r in rows]],
-        )
-
-
-def _line(row: dict[str, Any]) -> str:
-    """A row as JSON; half characters, which JSON can name and UTF-8 cannot hold, become `?`."""
-    return json.dumps(row, ensure_ascii=False).encode(errors="replace").decode()
 
 
 def threads() -> int:

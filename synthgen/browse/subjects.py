@@ -11,9 +11,9 @@ from assets_procedural.motion.poses import ARKIT_NAMES
 from synthgen.browse.decoded import metadata
 from synthgen.browse.folder import Folder, Refused
 from synthgen.browse.samples import Broken, Sample
-from synthgen.browse.sandbox import quoted
 from synthgen.browse.shots import plain
 from synthgen.browse.snapshot import Snapshot
+from synthgen.dataset.database import quoted
 
 _MOST = 5000  # shots of a subject
 _LARGEST = 256 << 20  # bytes of a mesh

@@ -13,17 +13,17 @@ import os
 import threading
 from pathlib import Path
 
-import numpy as np
-from PIL import Image
-
 from assets_procedural.conventions.files import cache_folder, write_atomically
 from synthgen.browse.samples import Broken, Sample
+from synthgen.dataset.codecs import decode_png
 from synthgen.pictures.page import fit
 
 SIZES = (96, 160, 240, 320, 480)
 """Widths that are drawn; a request gets the next larger one."""
 LIMIT = 256 << 20
 """Bytes that the cache may hold."""
+_LARGEST = 256 << 20  # bytes of a picture, once it is decoded
+_decoding = threading.BoundedSemaphore(4)  # of them at once
 
 
 class Thumbnails:
@@ -88,11 +88,11 @@ class Thumbnails:
 def draw(png: bytes, width: int) -> bytes:
     """A PNG scaled to `width` as JPEG; raises `Broken` if it does not decode."""
     try:
-        with Image.open(io.BytesIO(png), formats=["PNG"]) as image:
-            image.load()
-            height = max(1, round(width * image.height / image.width))
+        with _decoding:
+            pixels = decode_png(png, _LARGEST)
+            height = min(max(1, round(width * pixels.shape[0] / pixels.shape[1])), 4 * width)
             buffer = io.BytesIO()
-            fit(np.asarray(image), width, height).save(buffer, "JPEG", quality=86)
+            fit(pixels, width, height).save(buffer, "JPEG", quality=86)
             return buffer.getvalue()
     except Exception as error:  # decoders raise whatever they like on damaged bytes
         lines = str(error).splitlines() or [type(error).__name__]

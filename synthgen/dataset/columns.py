@@ -8,6 +8,7 @@ linear factors `exposures`, `camera_*`, `head_*`, `gaze_*`, `expression_<ARKit n
 
 from __future__ import annotations
 
+import math
 import types
 import typing
 from collections.abc import Iterable
@@ -18,6 +19,8 @@ from pydantic import BaseModel
 from assets_procedural.conventions.camera import CameraSample
 from assets_procedural.motion.poses import ARKIT_NAMES
 from assets_procedural.person import Person
+from synthgen.dataset.database import COLUMN
+from synthgen.dataset.folder import brief
 
 PHENOTYPES = (
     *("gender", "age", "muscle", "weight", "height", "proportions", "cupsize", "firmness"),
@@ -85,6 +88,51 @@ def row(
     return result
 
 
+def misfits(row: Any) -> list[str]:
+    """What keeps a row out of the manifest, a line each: DuckDB refuses a table for one value."""
+    if not isinstance(row, dict):
+        return ["is no row of the manifest"]
+    try:
+        columns = schema_of([row])
+    except ValueError as error:
+        return [str(error)]
+    missing = [
+        f"the manifest's {name} is missing" for name in (*IDENTITY, *PLACE) if name not in row
+    ]
+    return missing + [
+        f"the manifest's {name} must be {columns[name]}, not {str(value)[:40]!r}"
+        for name, value in row.items()
+        if not (value is None and name not in (*IDENTITY, *PLACE))
+        and not _fits(value, columns[name])
+    ]
+
+
+_INTEGERS = {"BIGINT": 2**63, "INTEGER": 2**31}
+
+
+def _fits(value: Any, kind: str) -> bool:
+    if kind.endswith("[]"):
+        return isinstance(value, list | tuple) and all(_fits(v, kind[:-2]) for v in value)
+    if kind in _INTEGERS:
+        whole = isinstance(value, int) and not isinstance(value, bool)
+        return whole and -_INTEGERS[kind] <= value < _INTEGERS[kind]
+    if kind == "DOUBLE":
+        return (
+            isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+        )
+    if kind == "BOOLEAN":
+        return isinstance(value, bool)
+    if kind == "VARCHAR":
+        return isinstance(value, str) and not any("\ud800" <= c <= "\udfff" for c in value)
+    if not isinstance(value, dict) or not all(_fits(name, "VARCHAR") for name in value):
+        return False
+    if kind.startswith("MAP"):
+        return all(_fits(v, "DOUBLE") for v in value.values())
+    return value.keys() == {"name", "offset", "size"} and all(
+        _fits(v, "VARCHAR" if n == "name" else "BIGINT") for n, v in value.items()
+    )
+
+
 def _flatten(prefix: str, value: dict[str, Any]) -> dict[str, Any]:
     flat: dict[str, Any] = {}
     for name, item in value.items():
@@ -136,10 +184,14 @@ def _sql_type(kind: Any) -> str:
 
 def schema_of(rows: list[dict[str, Any]]) -> dict[str, str]:
     """The schema that holds these rows; `ValueError` if one has a column that it lacks."""
+    if not all(isinstance(r, dict) for r in rows):
+        raise ValueError("a row of the manifest must be an object")
     names = dict.fromkeys(name for r in rows for name in r)
     quality = [n.removeprefix("quality_") for n in names if n.startswith("quality_")]
     cost = [n.removeprefix("cost_") for n in names if n.startswith("cost_")]
     columns = schema(quality, cost)
+    if wrong := [name for name in names if not COLUMN.fullmatch(name)]:
+        raise ValueError(f"a column of the manifest cannot be called {brief(wrong[0])}")
     if unknown := set(names) - set(columns):
         raise ValueError(f"the manifest has no column for {sorted(unknown)}")
     return columns

@@ -1,6 +1,7 @@
 """Where every file of a dataset lies; nothing else knows.
 
     dataset.json, README.md, croissant.json
+    SHA256SUMS                               the hash of every published file
     manifest/<subset>.parquet                a row per shot
     environments/<id>.exr                    panoramas
     data/<subset>/<split>-000000.tar         shards
@@ -8,10 +9,12 @@
     ledger/<subset>/<split>-000000.json      the record that marks a shard as committed
     ledger/<subset>/<split>-000000.parquet   the shard's rows of the manifest
     ledger/failed/<subset>/<key>.json        attempts of a subject that failed, and the last reason
+    ledger/dataset.json                      a copy of dataset.json, to mend it from
     work/<subset>/<key>.tar, .json           a finished subject that waits for its shard
     work/runs/<i>-of-<n>.json                what a running slice is busy with
     work/logs/<i>-of-<n>-worker-<k>.log      what its workers printed
     work/locks/                              see `synthgen.dataset.ledger`
+    work/.temporary/<i>-of-<n>-…/            temporary files of a worker
 
 Names come from jobs, from manifests and from whoever wrote a dataset: every one is checked here,
 so that no path leads out of the folder.
@@ -87,13 +90,17 @@ class DatasetFolder:
         self.description = self.root / "dataset.json"
         self.card = self.root / "README.md"
         self.croissant = self.root / "croissant.json"
+        self.checksums = self.root / "SHA256SUMS"
         self.manifests = self.root / "manifest"
         self.environments = self.root / "environments"
         self.data = self.root / "data"
         self.subjects = self.root / "subjects"
+        self.ledger = self.root / "ledger"
+        self.description_copy = self.ledger / "dataset.json"
         self.work = self.root / "work"
         self.logs = self.work / "logs"
         self.locks = self.work / "locks"
+        self.temporary = self.work / ".temporary"
 
     def __fspath__(self) -> str:
         return str(self.root)
@@ -151,7 +158,7 @@ class DatasetFolder:
 
     def records(self, subset: str) -> Path:
         """The folder of a subset's shard records, and of their rows."""
-        return self.root / "ledger" / self._name(subset, "subset")
+        return self.ledger / self._name(subset, "subset")
 
     def waiting(self, subset: str) -> Path:
         """The folder of a subset's finished subjects that wait for their shard."""
@@ -159,7 +166,7 @@ class DatasetFolder:
 
     def failed(self, subset: str) -> Path:
         """The folder of the notes about a subset's failed subjects."""
-        return self.root / "ledger" / "failed" / self._name(subset, "subset")
+        return self.ledger / "failed" / self._name(subset, "subset")
 
     def committed(self, subset: str) -> Iterator[ShardFiles]:
         """The shards of a subset that have a record, by name."""
@@ -176,11 +183,23 @@ class DatasetFolder:
 
     def failure_notes(self) -> list[Path]:
         """Notes about failed subjects, in order."""
-        return sorted((self.root / "ledger" / "failed").glob("*/*.json"))
+        return sorted((self.ledger / "failed").glob("*/*.json"))
 
     def run_notes(self) -> list[Path]:
         """Notes of runs, in order."""
         return sorted((self.work / "runs").glob("*.json"))
+
+    def published(self) -> Iterator[Path]:
+        """Every file that a finished dataset is made of but `checksums` itself, in order.
+
+        Beside the folders that a dataset owns, others may lie in its root: they are not its own.
+        """
+        yield from (p for p in (self.card, self.croissant, self.description) if p.is_file())
+        for owned in (self.data, self.environments, self.ledger, self.manifests, self.subjects):
+            for path in sorted(owned.rglob("*")):
+                temporary = path.name.startswith(".") and path.suffix == ".tmp"
+                if not temporary and (path.is_symlink() or not path.is_dir()):
+                    yield path
 
     def has_results(self) -> bool:
         """Whether anything was rendered: a shard's record, a failure, or a subject that waits."""
@@ -210,8 +229,9 @@ class DatasetFolder:
         return self.root.joinpath(*parts)
 
     def _name(self, name: str, what: str) -> str:
-        if not NAME.fullmatch(name):
-            raise StorageError(f"{self}: {not_a_name(name, what)}")
+        # What records hold may be of any type.
+        if not isinstance(name, str) or not NAME.fullmatch(name):
+            raise StorageError(f"{self}: {not_a_name(str(name), what)}")
         return name
 
 
@@ -233,3 +253,9 @@ def not_a_name(text: str, what: str) -> str:
 def brief(text: str) -> str:
     """Words of somebody else, quoted and shortened for a line."""
     return json.dumps(text if len(text) <= 80 else text[:77] + "...", ensure_ascii=False)
+
+
+def is_sample(name: str, key: str) -> bool:
+    """Whether a manifest's row names a shot by a name, in a file of two names, such as a shard."""
+    parts = name.split("/")
+    return len(parts) == 3 and all(map(NAME.fullmatch, (*parts, key)))

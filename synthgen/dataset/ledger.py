@@ -2,24 +2,31 @@
 
 `synthgen.dataset.folder` says where it lies, `synthgen.dataset.records` what is written. A subject
 is done when its rows of the manifest exist, a shard when its record exists and its tar has the
-recorded size. Both are committed after what they vouch for.
+recorded size. Both are committed after what they vouch for, and hold the hashes of it, which
+`synthgen.farm.commit` compares.
 """
 
 from __future__ import annotations
 
 import contextlib
-import os
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from assets_procedural.conventions.files import write_atomically
+from assets_procedural.conventions.files import open_regular, read_regular, write_atomically
 from synthgen.dataset.codecs import encode_json
-from synthgen.dataset.folder import DatasetFolder, Place, ShardFiles, StorageError
-from synthgen.dataset.records import Failure, RunNote, ShardRecord, read_description
+from synthgen.dataset.folder import NAME, DatasetFolder, Place, ShardFiles, StorageError
+from synthgen.dataset.records import (
+    LARGEST_RECORD,
+    Failure,
+    RunNote,
+    ShardRecord,
+    read_description,
+)
 
 ATTEMPTS = 3
+_LOOKS = 5
 
 
 @dataclass(frozen=True)
@@ -40,19 +47,28 @@ def waiting(folder: DatasetFolder, subset: str, key: str) -> WaitingSubject | No
     return WaitingSubject(subset, key, files.waiting_tar, files.waiting_rows)
 
 
-def shard_record(folder: DatasetFolder, shard: str) -> ShardRecord | None:
-    """The record of a committed shard ("<subset>/<split>-000000.tar").
+def record_of(folder: DatasetFolder, shard: str) -> ShardRecord | None:
+    """The record of a shard ("<subset>/<split>-000000.tar"), whatever has become of its files.
 
-    None if there is none, or files that it vouches for are gone.
+    None if there is none, or it is damaged.
     """
     files = folder.shard(shard)
+    with contextlib.suppress(OSError, StorageError):
+        record = ShardRecord.parse(read_regular(files.record, LARGEST_RECORD), files.record)
+        if record.tar == folder.relative(files.tar):
+            return record
+    return None
+
+
+def shard_record(folder: DatasetFolder, shard: str) -> ShardRecord | None:
+    """As `record_of`; None too if files that it vouches for are gone or have another length."""
+    files, record = folder.shard(shard), record_of(folder, shard)
     try:
-        record = ShardRecord.parse(files.record.read_bytes(), files.record)
-        if record.subjects:
+        if record is not None and record.subjects:
             if files.tar.stat().st_size != record.bytes:
                 return None
             files.rows.stat()
-    except (OSError, StorageError):
+    except OSError:
         return None
     return record
 
@@ -61,7 +77,29 @@ def committed(folder: DatasetFolder, subset: str) -> Iterator[tuple[ShardFiles, 
     """All committed shards of a subset, by name; those with damaged records are left out."""
     for files in folder.committed(subset):
         with contextlib.suppress(OSError, StorageError):
-            yield files, ShardRecord.parse(files.record.read_bytes(), files.record)
+            content = read_regular(files.record, LARGEST_RECORD)
+            yield files, ShardRecord.parse(content, files.record)
+
+
+def contents(
+    folder: DatasetFolder, subset: str
+) -> tuple[list[tuple[ShardFiles, ShardRecord]], list[str]]:
+    """The committed shards of a subset, and the keys of the subjects that wait for theirs.
+
+    No subject is in both, and none is missed, although shards may be committed at this moment: the
+    work files of a subject are removed after the record that lists it is written.
+    """
+    shards, keys = [], []
+    for _ in range(_LOOKS):
+        before = {files.record for files in folder.committed(subset)}
+        keys = [path.stem for path in sorted(folder.waiting(subset).glob("*.json"))]
+        shards = list(committed(folder, subset))
+        # Else a shard was opened again, and its subjects may just have become waiting ones.
+        if before <= {files.record for files in folder.committed(subset)}:
+            break
+    recorded = {key for _, record in shards for key in record.subjects}
+    named = (key for key in keys if NAME.fullmatch(key))
+    return shards, [key for key in named if key not in recorded]
 
 
 # ---------------------------------------------------------------- failures
@@ -71,7 +109,7 @@ def failure(folder: DatasetFolder, subset: str, key: str) -> Failure | None:
     """What is known of a subject that failed; None if it never did."""
     path = folder.subject(subset, key).failure
     try:
-        return Failure.parse(path.read_bytes(), path)
+        return Failure.parse(read_regular(path, LARGEST_RECORD), path)
     except (OSError, StorageError):
         return None
 
@@ -106,7 +144,7 @@ def failures(folder: DatasetFolder) -> list[Failure]:
     entries = []
     for path in folder.failure_notes():
         with contextlib.suppress(OSError, StorageError):
-            entries.append(Failure.parse(path.read_bytes(), path))
+            entries.append(Failure.parse(read_regular(path, LARGEST_RECORD), path))
     return entries
 
 
@@ -124,9 +162,9 @@ def slice_lock(folder: DatasetFolder, shard: tuple[int, int]) -> Iterator[None]:
 
     index, count = shard
     folder.locks.mkdir(parents=True, exist_ok=True)
-    with contextlib.ExitStack() as held:
+    with contextlib.ExitStack() as held, contextlib.ExitStack() as tried:
 
-        def lock(name: str, mode: int, patience: float) -> bool:
+        def lock(held: contextlib.ExitStack, name: str, mode: int, patience: float) -> bool:
             file = held.enter_context((folder.locks / name).open("a"))
             deadline = time.monotonic() + patience
             while True:
@@ -141,14 +179,16 @@ def slice_lock(folder: DatasetFolder, shard: tuple[int, int]) -> Iterator[None]:
 
         with shared_files_lock(folder):
             for path in folder.locks.glob("split-*"):
-                if path.name != f"split-{count}" and not lock(path.name, fcntl.LOCK_EX, 0.5):
+                own = path.name == f"split-{count}"
+                if not own and not lock(tried, path.name, fcntl.LOCK_EX, 0.5):
                     other = path.name.removeprefix("split-")
                     raise StorageError(
                         f"{folder}: being rendered in {other} slice(s), which overlap with a split "
                         f"into {count}; wait for that run or use the same --shard i/{other}"
                     )
-            lock(f"split-{count}", fcntl.LOCK_SH, 0.5)
-            if not lock(f"slice-{index}-of-{count}", fcntl.LOCK_EX, 0.5):
+            tried.close()  # else the next slice of this split would take us for another split
+            lock(held, f"split-{count}", fcntl.LOCK_SH, 0.5)
+            if not lock(held, f"slice-{index}-of-{count}", fcntl.LOCK_EX, 0.5):
                 what = "this dataset" if count == 1 else f"slice {index}/{count}"
                 raise StorageError(
                     f"{folder}: another process is rendering {what}; "
@@ -174,7 +214,7 @@ def slice_busy(folder: DatasetFolder, name: str) -> bool:
     import fcntl
 
     try:
-        with (folder.locks / f"slice-{name}").open() as file:
+        with open_regular(folder.locks / f"slice-{name}") as file:
             fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:
         return True
@@ -250,13 +290,12 @@ def status(out: Place) -> Status:
     subsets = []
     for name, planned in info.plan.items():
         subset = SubsetStatus(name, planned.subjects, planned.frames_per_subject)
-        for _, record in committed(folder, name):
+        shards, keys = contents(folder, name)
+        subset.waiting = len(keys)
+        for _, record in shards:
             subset.in_shards += len(record.subjects)
             subset.shards += 1
             subset.bytes += record.bytes
-        if folder.waiting(name).is_dir():
-            with os.scandir(folder.waiting(name)) as entries:
-                subset.waiting = sum(e.name.endswith(".json") for e in entries)
         subsets.append(subset)
     result = Status(folder.root, info.name, info.complete, subsets, failures=failures(folder))
     by_name = {s.name: s for s in subsets}
@@ -273,7 +312,7 @@ def _add_runs(folder: DatasetFolder, result: Status) -> None:
         if not slice_busy(folder, path.stem):
             continue
         try:
-            run = RunNote.parse(path.read_bytes(), path)
+            run = RunNote.parse(read_regular(path, LARGEST_RECORD), path)
         except (OSError, StorageError):
             continue
         result.workers += run.workers

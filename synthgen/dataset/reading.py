@@ -9,6 +9,7 @@ Needs neither Blender nor torch. Of a dataset that is still being rendered, it r
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -17,14 +18,16 @@ from typing import Any
 import numpy as np
 
 from assets_procedural.conventions.errors import one_line
-from synthgen.dataset import manifest
-from synthgen.dataset.codecs import decode_exr
+from assets_procedural.conventions.files import read_regular
+from synthgen.dataset import database, manifest
+from synthgen.dataset.codecs import LARGEST, decode_exr
 from synthgen.dataset.folder import (
     DamageError,
     DatasetFolder,
     Place,
     StorageError,
     brief,
+    is_sample,
     subset_of,
 )
 from synthgen.dataset.records import Description, read_description
@@ -33,6 +36,7 @@ from synthgen.dataset.shards import MEMBER_OF, decode, decode_fields, read_sampl
 from synthgen.dataset.shot import Shot
 
 _PICTURE = re.compile(r"(rgb|hdr)_\d{2,}")
+_PLACES = 'SELECT "key"::VARCHAR, shard::VARCHAR, "offset"::BIGINT, "size"::BIGINT FROM manifest'
 _GONE = (FileNotFoundError, NotADirectoryError, IsADirectoryError)
 
 
@@ -84,7 +88,9 @@ class Dataset:
         """
         position = self.position(which)
         with self._telling_of_damage(position):
-            return decode(str(self.index.key[position]), self._members(position))
+            shot = decode(str(self.index.key[position]), self._members(position))
+            self._check_meta(position, shot.meta)
+            return shot
 
     def find(self, key: str) -> Shot:
         """`dataset[key]` for a key that a user typed: raises `StorageError` with one line."""
@@ -105,6 +111,8 @@ class Dataset:
         position = self.position(which)
         with self._telling_of_damage(position):
             decoded = decode_fields(self._members(position, wanted))
+            if "meta" in decoded:
+                self._check_meta(position, decoded["meta"])
         return {name: decoded[name] for name in fields}
 
     def samples(self, fields: tuple[str, ...] | list[str]) -> Samples:
@@ -135,7 +143,7 @@ class Dataset:
         """A panorama, (H, 2H, 3) float32, linear Rec.709 radiance.
 
         Raises `UnknownEnvironment`, a `KeyError`, if the dataset has none of that id, `DamageError`
-        if its file is missing or damaged.
+        if its file is missing, damaged, or changed since it was stored.
         """
         path = self.folder.environment(identifier)
         if not path.exists():
@@ -143,10 +151,15 @@ class Dataset:
             if identifier not in known:
                 raise UnknownEnvironment(f"{self.folder}: no environment {brief(identifier)}")
             raise DamageError(self.folder, f"{path}: is missing")
-        content = path.read_bytes()
         try:
+            content = read_regular(path, LARGEST)
+            recorded = self.description.files.get(self.folder.relative(path))
+            if recorded not in (None, hashlib.sha256(content).hexdigest()):
+                raise DamageError(self.folder, f"{path}: changed since it was written")
             planes = decode_exr(content)
             return np.stack([planes[c] for c in "RGB"], -1).astype(np.float32)
+        except DamageError:
+            raise
         except Exception as error:  # OpenEXR raises what it likes on damaged bytes
             reason = f"{path}: does not decode: {one_line(error)[:160]}"
             raise DamageError(self.folder, reason) from error
@@ -182,9 +195,53 @@ class Dataset:
             raise DamageError(self.folder, f"{self.folder}: {where}: {reason}") from error
 
     def _members(self, position: int, wanted: set[str] | None = None) -> dict[str, bytes]:
+        try:
+            return self._read(position, wanted)
+        except (OSError, ValueError):
+            if not self._found_again():
+                raise
+        return self._read(position, wanted)
+
+    def _read(self, position: int, wanted: set[str] | None) -> dict[str, bytes]:
         index = self.index
         path = self.folder.inside(index.shards[index.shard[position]])
-        return read_sample(path, int(index.offset[position]), int(index.size[position]), wanted)
+        place = int(index.offset[position]), int(index.size[position])
+        return read_sample(path, *place, str(index.key[position]), wanted)
+
+    def _check_meta(self, position: int, meta: dict[str, Any]) -> None:
+        there = f"{meta.get('subset')}/{meta.get('key')}"
+        wanted = f"{self.index.subset(position)}/{self.index.key[position]}"
+        if there != wanted:
+            raise ValueError(f"meta.json of {wanted} is that of {there[:80]}")
+
+    def _found_again(self) -> bool:
+        """Look up where the shots are now; whether any of them has moved.
+
+        While a dataset is rendered, subjects move from work files into their shard.
+        """
+        with contextlib.suppress(StorageError):
+            if self.description.complete and read_description(self.folder) == self.description:
+                return False
+        with manifest.connect(self.folder) as connection:
+            now = _index(self.folder, self.description, connection.execute(_PLACES))
+        places = {(now.subset(i), str(key)): i for i, key in enumerate(now.key)}
+        before, count = self.index, len(self)
+        at = np.array(
+            [places.get((before.subset(i), str(before.key[i])), -1) for i in range(count)], int
+        )
+        # Those that are gone stay where they were.
+        self.index = Index(
+            before.key,
+            np.where(at < 0, before.shard + len(now.shards), now.shard[at]).astype(np.int32),
+            np.where(at < 0, before.offset, now.offset[at]),
+            np.where(at < 0, before.size, now.size[at]),
+            now.shards + before.shards,
+        )
+        return any(
+            before.shards[before.shard[i]] != self.index.shards[self.index.shard[i]]
+            or before.offset[i] != self.index.offset[i]
+            for i in range(count)
+        )
 
 
 def open_dataset(
@@ -207,19 +264,25 @@ def open_dataset(
         raise StorageError(f"{folder}: no subset {subset}; it has {known}")
     if split not in (None, "train", "validation", "test"):
         raise StorageError(f"split {split!r}: must be train, validation or test")
-    conditions = [f"({where})"] if where else []
+    conditions = [f"({where}\n)"] if where else []
     values = []
     for name, value in (("subset", subset), ("split", split)):
         if value is not None:
             conditions.append(f"{name} = ?")
             values.append(value)
     clause = f" WHERE {' AND '.join(conditions)}" if conditions else ""
+    sql = f"{_PLACES}{clause}"
     with manifest.connect(folder) as connection:
         try:
-            rows = connection.execute(
-                f'SELECT "key", shard, "offset", "size" FROM manifest{clause}', values
+            if not database.only_reads(connection, sql):
+                raise StorageError("where: must be a single condition, not several statements")
+            return Dataset(
+                folder,
+                description,
+                database.interruptible(
+                    connection, lambda: _index(folder, description, connection.execute(sql, values))
+                ),
             )
-            return Dataset(folder, description, _index(rows))
         except duckdb.Error as error:
             if where is None:
                 reason = f"{folder}: the manifest cannot be read: {one_line(error)[:200]}"
@@ -227,10 +290,18 @@ def open_dataset(
             raise StorageError(f"where: {' '.join(str(error).split())}") from None
 
 
-def _index(rows: Any) -> Index:
+def _index(folder: DatasetFolder, description: Description, rows: Any) -> Index:
     codes: dict[str, int] = {}
     keys, shards, places = [np.empty(0, "U1")], [np.empty(0, np.int32)], [np.empty((0, 2), int)]
     while chunk := rows.fetchmany(20_000):
+        for key, shard, *place in chunk:
+            if (
+                None in (key, shard, *place)
+                or not is_sample(shard, key)
+                or subset_of(shard) not in description.plan
+            ):
+                named = f"{brief(str(shard))}, {brief(str(key))}"
+                raise StorageError(f"{folder}: its manifest names no shot of it: {named}")
         keys.append(np.array([row[0] for row in chunk]))
         shards.append(np.array([codes.setdefault(row[1], len(codes)) for row in chunk], np.int32))
         places.append(np.array([row[2:] for row in chunk], np.int64))

@@ -5,12 +5,32 @@ from __future__ import annotations
 import json
 from typing import Annotated, Any, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationError,
+    model_validator,
+)
 
-from synthgen.dataset.folder import DatasetFolder, Place, StorageError
+from assets_procedural.conventions.errors import one_line
+from assets_procedural.conventions.files import read_regular
+from synthgen.dataset.folder import NAME, DatasetFolder, Place, StorageError, not_a_name
 
+LARGEST_RECORD = 256 << 20
+"""Bytes of a record that is read."""
 FORMAT = 1
 """Of the datasets that are written and read, see docs/dataset.md."""
+
+
+def storable(text: Any) -> Any:
+    """A text without lone surrogates, which no file can hold."""
+    return text.encode("utf-8", "replace").decode() if isinstance(text, str) else text
+
+
+Words = Annotated[str, BeforeValidator(storable)]
+"""Text that comes from somewhere else, such as an error's message."""
 
 
 class Record(BaseModel):
@@ -46,9 +66,9 @@ class PlannedSubset(Record):
     """What the job asks of a subset."""
 
     kind: str
-    subjects: int
-    shots_per_subject: int
-    frames_per_subject: int
+    subjects: int = Field(ge=0, le=10**9)
+    shots_per_subject: int = Field(ge=1, le=10**6)
+    frames_per_subject: int = Field(ge=0, le=10**9)
 
     @property
     def environments(self) -> int:
@@ -77,15 +97,16 @@ class Quarantined(Record):
 
     subset: str
     key: str
-    reason: str = ""
+    reason: Words = ""
 
 
 class Description(Record):
     """dataset.json: what the dataset is and where it comes from.
 
     `job` is the validated job and `environments` the provenance of each panorama, as they were
-    given. From `counts` on, only a complete dataset has the fields; `counts` is by subset and
-    split, `files` holds the sha256 of manifests and panoramas by path.
+    given. `files` holds sha256 by path: of panoramas from the start, of manifests too when the
+    dataset is complete. From `counts` on, only a complete dataset has the fields; `counts` is by
+    subset and split, `checksums` names the list of all its files.
     """
 
     format: int | None = None
@@ -98,10 +119,21 @@ class Description(Record):
     code: dict[str, str] = {}
     created: str = ""
     licences: list[dict[str, str]] = []
+    files: dict[str, str] = {}
     counts: dict[str, dict[str, Counts]] = {}
     quarantined: list[Quarantined] = []
     shards: list[ShardSeal] = []
-    files: dict[str, str] = {}
+    checksums: str = ""
+
+    @model_validator(mode="after")
+    def _named(self) -> Self:
+        """Subsets and environments are parts of paths: they are looked at once, here."""
+        names = [("subset", name) for name in self.plan]
+        names += [("environment", entry["id"]) for entry in self.environments if "id" in entry]
+        for what, name in names:
+            if not isinstance(name, str) or not NAME.fullmatch(name):
+                raise ValueError(not_a_name(str(name), what))
+        return self
 
 
 def read_description(out: Place) -> Description:
@@ -120,11 +152,13 @@ def description_json(folder: DatasetFolder) -> Any:
 
 def _description_bytes(folder: DatasetFolder) -> bytes:
     try:
-        return folder.description.read_bytes()
+        return read_regular(folder.description, LARGEST_RECORD)
     except FileNotFoundError:
         raise StorageError(f"{folder}: no dataset here (no dataset.json)") from None
     except NotADirectoryError:
         raise StorageError(f"{folder}: is a file, not a dataset folder") from None
+    except OSError as error:  # a pipe, a folder, links in a circle
+        raise StorageError(one_line(error)) from None
 
 
 # ---------------------------------------------------------------- ledger
@@ -133,7 +167,9 @@ def _description_bytes(folder: DatasetFolder) -> bytes:
 class ShardRecord(Record):
     """A committed shard: its subjects, those that failed, what it holds, its checksums.
 
-    A shard none of whose subjects could be rendered has a record, but no files and no checksums.
+    `subject_sha256` are of the bytes of each subject in the tar, `files` of their meshes and
+    parameters by path; records of older versions lack both. A shard none of whose subjects could be
+    rendered has a record, but no files and no checksums.
     """
 
     tar: str
@@ -144,12 +180,26 @@ class ShardRecord(Record):
     bytes: int
     sha256: str = ""
     part_sha256: str = ""
+    subject_sha256: list[str] = []
+    files: dict[str, str] = {}
 
     @model_validator(mode="after")
     def _sealed(self) -> Self:
         if self.subjects and not (self.sha256 and self.part_sha256):
             raise ValueError("no checksums")
+        if self.subject_sha256 and len(self.subject_sha256) != len(self.subjects):
+            raise ValueError("not one checksum for each subject")
         return self
+
+
+class Seal(Record):
+    """What vouches for a subject that waits for its shard: size and sha256 of its tar entries,
+    sha256 of its rows of the manifest as they are stored, and of its parameters."""
+
+    bytes: int
+    sha256: str
+    rows_sha256: str
+    parameters_sha256: str
 
 
 class Failure(Record):
@@ -158,8 +208,8 @@ class Failure(Record):
     subset: str
     key: str
     attempts: int
-    reason: str
-    log: str
+    reason: Words
+    log: Words
 
 
 class RunNote(Record):

@@ -8,7 +8,8 @@ times, owners, and the headers inside PNG, EXR and NPZ.
 from __future__ import annotations
 
 import hashlib
-import json
+import itertools
+import os
 import tarfile
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -16,9 +17,10 @@ from typing import Any
 
 import numpy as np
 
-from assets_procedural.conventions.files import replacing
-from synthgen.dataset import passes
+from assets_procedural.conventions.files import open_regular, replacing
+from synthgen.dataset import metadata, passes
 from synthgen.dataset.codecs import (
+    LARGEST,
     decode_exr,
     decode_npz,
     decode_png,
@@ -36,6 +38,8 @@ MEMBER_OF = {p.name: p.member for p in PASSES} | {
 }
 """Field of a sample -> the member that holds it; pictures have one each."""
 BLOCK = tarfile.BLOCKSIZE
+LARGEST_MEMBER = 1 << 30
+"""Bytes of a member that is read."""
 
 
 # ---------------------------------------------------------------- shot <-> members
@@ -70,9 +74,12 @@ def _planes(shot: Shot, held: list[Pass]) -> dict[str, np.ndarray]:
     return planes
 
 
-def decode(key: str, members: dict[str, bytes]) -> Shot:
-    """The inverse of `encode`; `KeyError` for a missing member, `ValueError` for a broken one."""
-    fields = decode_fields(members)
+def decode(key: str, members: dict[str, bytes], most: int = LARGEST) -> Shot:
+    """The inverse of `encode`; `KeyError` for a missing member, `ValueError` for a broken one.
+
+    Arrays of one shot take at most `most` bytes.
+    """
+    fields = decode_fields(members, most)
     images = [fields[name] for name in sorted(fields) if name.startswith("rgb_")]
     if not images:
         raise KeyError("rgb_00.png")
@@ -80,6 +87,7 @@ def decode(key: str, members: dict[str, bytes]) -> Shot:
     for name, member in MEMBER_OF.items():
         if name not in fields:
             raise KeyError(member)
+    _check_sizes(fields, images, hdr)
     return Shot(
         key=key,
         rgb=np.stack(images),
@@ -90,27 +98,57 @@ def decode(key: str, members: dict[str, bytes]) -> Shot:
     )
 
 
-def decode_fields(members: dict[str, bytes]) -> dict[str, Any]:
-    """Decode the members that are given: `rgb_00`, `hdr_00`, `albedo`, `normal`, `depth`, …"""
+def decode_fields(members: dict[str, bytes], most: int = LARGEST) -> dict[str, Any]:
+    """Decode the members that are given: `rgb_00`, `hdr_00`, `albedo`, `normal`, `depth`, …
+
+    Raises `ValueError` for a broken member, and beyond `most` bytes of arrays.
+    """
     fields: dict[str, Any] = {}
+    left = most
     for name, data in members.items():
         stem, _, extension = name.rpartition(".")
         try:
             if extension == "png":
-                fields[stem] = decode_png(data)
+                found: dict[str, Any] = {stem: decode_png(data, left)}
             elif name == AOV_MEMBER:
-                fields |= _split_aov(decode_exr(data))
+                found = _split_aov(decode_exr(data, left))
             elif extension == "exr":
-                planes = decode_exr(data)
-                fields[stem] = np.stack([planes[c] for c in "RGBA"], -1)
+                planes = decode_exr(data, left)
+                found = {stem: np.stack([planes[c] for c in "RGBA"], -1)}
             elif extension == "npz":
-                fields[stem] = decode_npz(data)
-            elif extension == "json":
-                meta = json.loads(data)
-                fields[stem] = meta | {"person": json.loads(meta["person"])}
+                found = {stem: decode_npz(data, left)}
+            elif name == "meta.json":
+                found = {stem: metadata.parse(data)}
+            else:
+                continue
         except Exception as error:  # decoders raise whatever they like on damaged bytes
             raise ValueError(f"{name} does not decode: {_brief(error)}") from error
+        fields |= found
+        left -= sum(map(_room, found.values()))
     return fields
+
+
+def _room(value: Any) -> int:
+    """Bytes of an array, or of all arrays of a member."""
+    if isinstance(value, np.ndarray):
+        return value.nbytes
+    arrays = value.values() if isinstance(value, dict) else ()
+    return sum(array.nbytes for array in arrays if isinstance(array, np.ndarray))
+
+
+def _check_sizes(fields: dict[str, Any], images: list[np.ndarray], hdr: list[np.ndarray]) -> None:
+    """Raise `ValueError` unless the arrays of a shot fit each other, as `Shot` says."""
+    first, lights = images[0].shape, len(fields["meta"]["environments"])
+    if len(first) != 3 or any(image.shape != first for image in images):
+        raise ValueError("pictures are grey, or of several sizes")
+    if any(image.shape != (*first[:2], 4) for image in hdr):
+        raise ValueError("linear pictures are of another size than the others")
+    if lights != len(images) or len(hdr) not in (0, lights):
+        raise ValueError(f"{len(images)} pictures of {lights} environments")
+    for each in PASSES:
+        found, wanted = fields[each.name].shape, each.shape(*first[:2])
+        if found != wanted:
+            raise ValueError(f"{each.name} has the shape {found}, not {wanted}")
 
 
 def _split_aov(planes: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -146,31 +184,60 @@ def read_members(path: Path, offset: int, size: int) -> Iterator[tuple[str, int,
     Raises `ValueError` if the bytes are not whole tar entries.
     """
     end = offset + size
-    with path.open("rb") as file:
+    with open_regular(path) as file:
+        if offset < 0 or size < 0 or end > os.fstat(file.fileno()).st_size:
+            raise ValueError(f"{path.name} is cut short: it ends before byte {end}")
         while offset < end:
             file.seek(offset)
             try:
                 info = tarfile.TarInfo.frombuf(file.read(BLOCK), "utf-8", "surrogateescape")
             except tarfile.HeaderError as error:
                 raise ValueError(f"{path.name}: no tar entry at byte {offset}") from error
+            if not 0 <= info.size <= min(end - offset - BLOCK, LARGEST_MEMBER):
+                raise ValueError(f"{path.name}: {info.name} is cut short, or too large")
             content = file.read(info.size)
-            if len(content) != info.size or offset + BLOCK + info.size > end:
+            if len(content) != info.size:
                 raise ValueError(f"{path.name}: {info.name} is cut short")
             yield info.name, offset + BLOCK, content
             offset += BLOCK + info.size + (-info.size % BLOCK)
 
 
 def read_sample(
-    path: Path, offset: int, size: int, wanted: Iterable[str] | None = None
+    path: Path, offset: int, size: int, key: str, wanted: Iterable[str] | None = None
 ) -> dict[str, bytes]:
-    """The members of one sample (key stripped from the names), or only those `wanted`."""
-    members = {name.split(".", 1)[1]: data for name, _, data in read_members(path, offset, size)}
+    """The members of the sample `key` (which is stripped from the names), or only those `wanted`.
+
+    Raises `ValueError` if the bytes are not whole tar entries of this sample, or too many.
+    """
+    members: dict[str, bytes] = {}
+    left = LARGEST
+    for name, _, data in read_members(path, offset, size):
+        owner, _, field = name.partition(".")
+        if owner != key:
+            raise ValueError(f"{path.name}: holds {owner[:80]!r} where {key} should be")
+        left -= len(data)
+        if left < 0:
+            raise ValueError(f"{path.name}: a sample of more than {LARGEST >> 30} GB")
+        members[field] = data
     return members if wanted is None else {name: members[name] for name in wanted}
 
 
-def concatenate(parts: Iterable[Path], target: Path) -> tuple[list[int], int, str]:
-    """Commit a shard made of subject files: (start of every part, size, sha256)."""
-    digest, starts = hashlib.sha256(), []
+class Changed(ValueError):
+    """A part of a shard is not what its checksum says; `place` is its number."""
+
+    def __init__(self, path: Path, place: int) -> None:
+        super().__init__(f"{path}: changed since it was written")
+        self.place = place
+
+
+def concatenate(
+    parts: Iterable[Path], target: Path, checksums: Iterable[str | None] = itertools.repeat(None)
+) -> tuple[list[int], int, str, list[str]]:
+    """Commit a shard made of subject files: (start of every part, size, sha256, that of each part).
+
+    Raises `Changed` where a part has another sha256 than `checksums` gives for it.
+    """
+    digest, starts, digests = hashlib.sha256(), [], []
     with replacing(target) as file:
 
         def put(block: bytes) -> None:
@@ -178,13 +245,18 @@ def concatenate(parts: Iterable[Path], target: Path) -> tuple[list[int], int, st
             digest.update(block)
 
         position = 0
-        for part in parts:
+        for place, (part, expected) in enumerate(zip(parts, checksums, strict=False)):
             starts.append(position)
+            own = hashlib.sha256()
             with part.open("rb") as source:
                 while block := source.read(1 << 22):
                     put(block)
+                    own.update(block)
                     position += len(block)
+            digests.append(own.hexdigest())
+            if expected not in (None, digests[-1]):
+                raise Changed(part, place)
         tail = 2 * BLOCK
         tail += -(position + tail) % tarfile.RECORDSIZE
         put(bytes(tail))
-    return starts, position + tail, digest.hexdigest()
+    return starts, position + tail, digest.hexdigest(), digests

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from assets_procedural.conventions.console import escape, size
+from assets_procedural.conventions.console import size
 from synthgen.farm import calibration
 from synthgen.farm.calibration import Calibration, Found
 from synthgen.planning.plan import Plan, subject_bytes
@@ -168,7 +168,7 @@ def report(result: Estimate, within_hours: float | None, console: Console) -> No
         table.add_row(name, *counts, size(figure("bytes")), hours)
     console.print(table)
     for line in _sources(result):
-        console.print(escape(line), soft_wrap=True)
+        console.print(line, soft_wrap=True)
     how = f"{_count(result.processes, 'process', 'processes')} of "
     how += f"{_count(result.threads, 'thread', 'threads')}, {result.device}"
     console.print(f"This machine ({how}) needs {_days(result.elapsed_hours / 24)}.")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 import traceback
 from collections.abc import Callable, Generator, Iterator
 from contextlib import closing
@@ -14,6 +13,7 @@ from typing import Any, TypeVar
 
 from assets_procedural.conventions.errors import UserError
 from synthgen.farm.process import begin_process, end_process, reason_of, reason_of_death, start
+from synthgen.farm.temporary import temporary_folder
 
 T = TypeVar("T")
 
@@ -75,10 +75,10 @@ def _values(
     time_limit: float,
     log: Path | None,
 ) -> Generator[Any, None, None]:
-    with tempfile.TemporaryDirectory(prefix="synthgen-") as folder:
-        log = log or Path(folder) / "log.txt"
+    with temporary_folder() as folder:
+        log = log or folder / "log.txt"
         ours, theirs = get_context("spawn").Pipe(duplex=False)
-        process = start(body, function, arguments, theirs, log)
+        process = start(body, function, arguments, theirs, log, folder)
         theirs.close()
         try:
             while True:
@@ -104,16 +104,24 @@ def _values(
 
 
 def _call(
-    function: Callable[..., Any], arguments: tuple[Any, ...], pipe: Connection, log: Path
+    function: Callable[..., Any],
+    arguments: tuple[Any, ...],
+    pipe: Connection,
+    log: Path,
+    scratch: Path,
 ) -> None:
-    _iterate(lambda *given: iter([function(*given)]), arguments, pipe, log)
+    _iterate(lambda *given: iter([function(*given)]), arguments, pipe, log, scratch)
 
 
 def _iterate(
-    function: Callable[..., Iterator[Any]], arguments: tuple[Any, ...], pipe: Connection, log: Path
+    function: Callable[..., Iterator[Any]],
+    arguments: tuple[Any, ...],
+    pipe: Connection,
+    log: Path,
+    scratch: Path,
 ) -> None:
     """Body of the process."""
-    begin_process(log)
+    begin_process(log, scratch)
     try:
         for value in function(*arguments):
             pipe.send(Value(value))

@@ -16,9 +16,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from assets_procedural.conventions import console
+from assets_procedural.conventions.files import sha256
 from assets_procedural.light.pool import pool, provenance, write_pool
 from synthgen.dataset import ledger
 from synthgen.dataset.folder import DatasetFolder, Place, StorageError
+from synthgen.dataset.records import read_description
 from synthgen.errors import JobError
 from synthgen.farm import DEFAULT_RENDERER, Device, calibration, preflight
 from synthgen.farm.commit import clean_shared
@@ -76,10 +78,11 @@ def render_job(
             with ledger.shared_files_lock(folder):
                 publish.begin(folder, the_plan, origins, renderer)
                 clean_shared(folder)
-                _write_panoramas(folder, specs)
+                mended = _write_panoramas(folder, specs)
             folder.logs.mkdir(parents=True, exist_ok=True)
             orders = Orders(job, folder.root, renderer, device, threads, Path())
             run = Run(the_plan, orders, shard, workers, time_limit, subjects_per_worker)
+            run.summary.mended += mended
             summary = run.render(limit, retry_failed)
             with ledger.shared_files_lock(folder):
                 summary.complete = publish.complete(folder)
@@ -88,12 +91,41 @@ def render_job(
     return summary
 
 
-def _write_panoramas(folder: DatasetFolder, specs: Sequence[EnvironmentSpec]) -> None:
-    """Store the panoramas; those that something was rendered with already stay as they are."""
-    if folder.has_results():
-        specs = [spec for spec in specs if not folder.environment(spec.id).exists()]
-    if specs:
-        write_pool(console.track(specs, "storing panoramas"), folder.environments)
+def _write_panoramas(folder: DatasetFolder, specs: Sequence[EnvironmentSpec]) -> list[str]:
+    """Store the panoramas, and record their hashes: all subjects are rendered with the same.
+
+    Those that changed since are made again; returns a line for each.
+    """
+    recorded = read_description(folder).files
+    begun, mended, missing = folder.has_results(), [], []
+    for spec in specs:
+        path = folder.environment(spec.id)
+        name = folder.relative(path)
+        if not path.exists():
+            missing.append(spec)
+            if name in recorded:
+                mended.append(f"{name}: was missing; made again")
+        elif name in recorded and sha256(path) != recorded[name]:
+            path.unlink()  # one with the right header would be kept
+            missing.append(spec)
+            mended.append(f"{name}: was damaged; made again")
+        elif name not in recorded and not begun:
+            missing.append(spec)
+    if missing:
+        write_pool(console.track(missing, "storing panoramas"), folder.environments)
+    hashes = {}
+    for spec in specs:
+        path = folder.environment(spec.id)
+        name = folder.relative(path)
+        known = None if spec in missing else recorded.get(name)
+        hashes[name] = known or sha256(path)
+        if hashes[name] != recorded.get(name, hashes[name]):
+            raise StorageError(
+                f"{path}: cannot be made again as it was when the dataset was begun; "
+                "put a copy of it there"
+            )
+    publish.record_panoramas(folder, hashes)
+    return mended
 
 
 @contextlib.contextmanager

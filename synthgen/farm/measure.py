@@ -7,7 +7,6 @@ environments, for each kind of subset apart: a video shot moves the head, a view
 from __future__ import annotations
 
 import datetime
-import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -21,6 +20,7 @@ from synthgen.farm import preflight
 from synthgen.farm.calibration import Calibration, Kind, machine_name
 from synthgen.farm.isolated import IsolatedError, isolated_steps
 from synthgen.farm.run import time_allowed
+from synthgen.farm.temporary import temporary_folder
 from synthgen.farm.worker import load_renderer
 from synthgen.planning.job import JobSpec, SubsetSpec
 from synthgen.planning.plan import Plan, SubjectPlan
@@ -54,8 +54,8 @@ def measure(
         rows = []
         limit = max(time_allowed(plan.job, subject.frames) for subject in subjects)
         # The folder is ours, so that it goes even if the process is killed.
-        with tempfile.TemporaryDirectory(prefix="synthgen-calibration-") as folder:
-            arguments = (plan.job, subjects, renderer, device, threads, Path(folder))
+        with temporary_folder() as folder:
+            arguments = (plan.job, subjects, renderer, device, threads, folder)
             try:
                 for row in isolated_steps(_timed, *arguments, time_limit=limit):
                     rows.append(row)

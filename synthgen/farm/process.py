@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from assets_procedural.conventions.errors import UserError
+from synthgen.farm import temporary
 
 # BLAS sums in another order with another number of threads, and the same job must give the same
 # bytes everywhere. It reads these when numpy is imported, so they must be set before that.
@@ -38,9 +39,14 @@ def start(target: Callable[..., None], *arguments: Any) -> BaseProcess:
     return process
 
 
-def begin_process(log: Path) -> None:
-    """First thing in a child: everything it prints goes to `log`, and it ends with its parent."""
+def begin_process(log: Path, scratch: Path | None) -> None:
+    """First thing in a child: everything it prints goes to `log`, and it ends with its parent.
+
+    Its temporary files go to `scratch`, if given.
+    """
     redirect(log)
+    if scratch is not None:
+        temporary.use(scratch)
     _die_with_parent()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches us too; the parent decides
 

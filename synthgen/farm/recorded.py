@@ -5,7 +5,10 @@ from __future__ import annotations
 import datetime
 from typing import Any
 
+import duckdb
+
 from synthgen.dataset import manifest
+from synthgen.dataset.database import quoted
 from synthgen.dataset.folder import DatasetFolder, Place, StorageError
 from synthgen.dataset.records import read_description
 from synthgen.farm.calibration import Calibration, machine_name
@@ -37,7 +40,11 @@ def recorded_costs(out: Place, device: str, threads: int) -> list[Calibration]:
         for name, spec in plan.job.subsets.items():
             if spec.kind in found or name not in tables:
                 continue
-            figures = _figures(connection, name, spec)
+            try:
+                figures = _figures(connection, name, spec)
+            except duckdb.Error as error:
+                reason = " ".join(str(error).split())[:200]
+                raise StorageError(f"{folder}: its manifest cannot be read: {reason}") from None
             if figures is not None:
                 found[spec.kind] = Calibration(
                     machine=machine_name(),
@@ -59,20 +66,20 @@ def recorded_costs(out: Place, device: str, threads: int) -> list[Calibration]:
 
 def _figures(connection: Any, subset: str, spec: SubsetSpec) -> dict[str, float] | None:
     """Means over the first shots of a subset; None if nobody noted what light took."""
-    described = connection.execute(f'DESCRIBE "{subset}"').fetchall()
+    described = connection.execute(f"DESCRIBE {quoted(subset)}").fetchall()
     costs = [name for name, *_ in described if name.startswith("cost_")]
     if _LIGHT not in costs:
         return None
     # What is done once a shot, storing included; the rest of a subject's seconds are its own.
-    shot = " + ".join(name for name in costs if name not in (_LIGHT, *_ONCE))
-    rendering = " + ".join(n for n in costs if n not in (*_ONCE, "cost_store"))
+    shot = " + ".join(quoted(n) for n in costs if n not in (_LIGHT, *_ONCE))
+    rendering = " + ".join(quoted(n) for n in costs if n not in (*_ONCE, "cost_store"))
     pictures = "[m.size FOR m IN members IF m.name[:3] IN ('rgb', 'hdr')]"
     row = connection.execute(
         f"""
         SELECT avg({_LIGHT}) / {spec.environments}, avg({shot}),
                avg(greatest(cost_subject - {spec.shots} * ({rendering}), 0)),
                avg(size), avg(list_sum({pictures}))
-        FROM (SELECT * FROM "{subset}" LIMIT {_SHOTS})
+        FROM (SELECT * FROM {quoted(subset)} LIMIT {_SHOTS})
         """
     ).fetchone()
     frame_s, shot_s, subject_s, shot_bytes, frame_bytes = row

@@ -11,16 +11,19 @@ from typing import Any
 import numpy as np
 
 from synthgen.dataset.codecs import encode_json
-from synthgen.dataset.folder import Place, StorageError
+from synthgen.dataset.folder import Place, StorageError, brief
 from synthgen.dataset.reading import open_dataset
 from synthgen.dataset.shot import Shot
-from synthgen.farm import preflight
+from synthgen.farm import DEFAULT_RENDERER, preflight
 from synthgen.farm.isolated import IsolatedError, isolated
 from synthgen.farm.run import time_allowed
 from synthgen.farm.worker import load_renderer
 from synthgen.planning.job import JobSpec
 from synthgen.planning.plan import SubjectPlan
 from synthgen.publish import publish
+
+RENDERERS = frozenset({DEFAULT_RENDERER})
+"""What a dataset may name as its renderer."""
 
 
 @dataclass(frozen=True)
@@ -57,20 +60,28 @@ def rerender(
     device: str = "cpu",
     threads: int = 1,
     time_limit: float | None = None,
+    renderer: str | None = None,
 ) -> Report:
     """Render the shot `key` again from dataset.json alone and compare it with what is stored.
 
-    Raises `StorageError` if there is no such shot or the renderer fails.
+    `renderer` ("package.module:function") replaces the recorded one, which must be one of
+    `RENDERERS`: a dataset does not choose what is imported.
+
+    Raises `StorageError` if there is no such shot, its renderer is unknown, or it fails.
     """
     dataset = open_dataset(out, subset=subset)
     stored = dataset.find(key)
     plan = publish.stored_plan(dataset.folder)
-    subject = plan.subject(stored.meta["subset"], stored.meta["index"])
+    name, index = stored.meta["subset"], stored.meta["index"]
+    spec = plan.job.subsets.get(name)
+    if spec is None or not 0 <= index < spec.subjects:
+        raise StorageError(f"{out}: the recorded job has no shot {key}")
+    subject = plan.subject(name, index)
     shots = tuple(shot for shot in subject.shots if shot.key == stored.key)
     if not shots:
         raise StorageError(f"{out}: the recorded job has no shot {key}")
     subject = subject.model_copy(update={"shots": shots})
-    renderer = dataset.description.renderer
+    renderer = renderer or _known(dataset.description.renderer, out)
     preflight.check_renderer(renderer)
     if time_limit is None:
         time_limit = time_allowed(plan.job, subject.frames)
@@ -80,6 +91,15 @@ def rerender(
     except IsolatedError as error:
         raise StorageError(f"{key}: rendering it again failed: {error}") from None
     return compare(stored, again)
+
+
+def _known(renderer: str, out: Place) -> str:
+    if renderer not in RENDERERS:
+        raise StorageError(
+            f"{out}: names the renderer {brief(renderer)}, which is not ours; if you trust it, "
+            "give it as --renderer"
+        )
+    return renderer
 
 
 def compare(stored: Shot, again: Shot) -> Report:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+import shutil
+import tempfile
 import time
 from collections import deque
 from collections.abc import Iterator
@@ -13,7 +16,8 @@ from typing import TYPE_CHECKING, Any
 from synthgen.dataset import ledger
 from synthgen.dataset.folder import DatasetFolder, StorageError
 from synthgen.farm import progress
-from synthgen.farm.commit import clean_temporary, commit_shard, unpack_shard
+from synthgen.farm.commit import clean_temporary, commit_shard, drop_waiting, unpack_shard
+from synthgen.farm.mend import find_damage, mend_shard
 from synthgen.farm.process import reason_of_death
 from synthgen.farm.slot import Slot, Task
 from synthgen.farm.state import RunState, Summary
@@ -65,6 +69,8 @@ class Run(RunState):
     def render(self, limit: int | None, retry_failed: bool) -> Summary:
         """Render until nothing is left or `limit` subjects are rendered."""
         clean_temporary(self.folder, self.shards)
+        self._clean_temporary_folders()
+        self._mend()
         if retry_failed:
             self._forgive()
         tasks = self._tasks()
@@ -95,6 +101,8 @@ class Run(RunState):
         finally:
             for slot in self.slots.values():
                 slot.kill()
+            with contextlib.suppress(OSError):
+                self.folder.temporary.rmdir()
             self.folder.run_note(self.slice).unlink(missing_ok=True)
         self.summary.seconds = time.time() - self.started
         names = {s.name.split("/")[0] for s in self.shards}
@@ -127,15 +135,39 @@ class Run(RunState):
             for index in sorted(left):
                 yield Task(shard, self.plan.subject(shard.subset, index))
 
+    def _mend(self) -> None:
+        """Open what is damaged of this slice, so that it is rendered again."""
+        damage = find_damage(self.folder, self.shards)
+        if damage.shards or damage.waiting:
+            with ledger.shared_files_lock(self.folder):
+                publish.reopen(self.folder)
+        for shard in damage.shards:
+            lost = mend_shard(self.folder, shard)
+            what = f"rendering again {', '.join(lost)}" if lost else "its manifest is written again"
+            tar = self.folder.relative(self.folder.shard(shard.name).tar)
+            self.summary.mended.append(f"{tar}: it or what belongs to it was damaged; {what}")
+        for subset, key in damage.waiting:
+            drop_waiting(self.folder, subset, key)
+            name = f"{subset}/{key}"
+            self.summary.mended.append(f"{name}: its work files were damaged; rendering it again")
+
+    def _clean_temporary_folders(self) -> None:
+        """Remove those of workers that were killed; other slices may have some in use."""
+        if self.folder.temporary.is_dir():
+            for path in self.folder.temporary.iterdir():
+                name = path.name.rpartition("_worker_")[0]
+                if name == self.slice or not ledger.slice_busy(self.folder, name):
+                    shutil.rmtree(path, ignore_errors=True)
+
     def _forgive(self) -> None:
         """Give failed subjects of this slice another chance, opening their shards again."""
         failed = {(f.subset, f.key) for f in ledger.failures(self.folder)}
         for shard in self.shards:
             keys = [k for i in shard.subjects if (shard.subset, k := subject_key(i)) in failed]
-            if keys and ledger.shard_record(self.folder, shard.name):
+            if keys and (record := ledger.shard_record(self.folder, shard.name)):
                 with ledger.shared_files_lock(self.folder):
                     publish.reopen(self.folder)
-                unpack_shard(self.folder, shard)
+                unpack_shard(self.folder, shard, record)
             for key in keys:  # last: a shard without them and without their failures loses them
                 ledger.forget_failure(self.folder, shard.subset, key)
 
@@ -152,7 +184,11 @@ class Run(RunState):
         if not idle:
             number = next(n for n in range(self.workers) if n not in self.slots)
             log = self.folder.log(self.slice, number)
-            self.slots[number] = Slot(dataclasses.replace(self.orders, log=log), number)
+            self.folder.temporary.mkdir(parents=True, exist_ok=True)
+            prefix = f"{self.slice}_worker_"
+            temporary = Path(tempfile.mkdtemp(prefix=prefix, dir=self.folder.temporary))
+            orders = dataclasses.replace(self.orders, log=log, temporary=temporary)
+            self.slots[number] = Slot(orders, number)
             idle = [number]
         slot = self.slots[idle[0]]
         try:
@@ -240,9 +276,25 @@ class Run(RunState):
             self._commit(task.shard)
 
     def _commit(self, shard: ShardPlan) -> None:
-        commit_shard(self.folder, shard)
+        if damaged := commit_shard(self.folder, shard):
+            self._render_again(shard, set(damaged))
+            return
         del self.missing[shard.name]
         self._tidy(shard)
+
+    def _render_again(self, shard: ShardPlan, keys: set[str]) -> None:
+        """Subjects whose work files changed since they were written: each loses an attempt."""
+        reason = "its work files were damaged before they got into their shard"
+        left = self.missing[shard.name]
+        for index in shard.subjects:
+            if (key := subject_key(index)) not in keys:
+                continue
+            attempts = ledger.record_failure(self.folder, shard.subset, key, reason, "")
+            if attempts < ledger.ATTEMPTS:
+                left.add(index)
+                self.retries.append(Task(shard, self.plan.subject(shard.subset, index)))
+        if not left:
+            self._commit(shard)
 
     def _tidy(self, shard: ShardPlan) -> None:
         """Remove the work files of a committed shard."""

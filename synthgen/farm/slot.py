@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import shutil
 import time
 from dataclasses import dataclass
 from multiprocessing import get_context
@@ -24,7 +25,7 @@ class Slot:
     """One worker process and what it is busy with."""
 
     def __init__(self, orders: Orders, number: int) -> None:
-        self.number, self.log = number, orders.log
+        self.number, self.orders, self.log = number, orders, orders.log
         self.pipe, theirs = get_context("spawn").Pipe()
         self.process = start(work, orders, theirs)
         theirs.close()
@@ -42,7 +43,7 @@ class Slot:
         """What the worker has said, None if it has said nothing: it is dead then."""
         try:
             return self.pipe.recv() if self.pipe.poll() else None
-        except (EOFError, OSError):
+        except Exception:  # half a message, of a worker that was killed, raises anything
             return None
 
     def dismiss(self) -> None:
@@ -57,3 +58,5 @@ class Slot:
             self.process.kill()
         self.process.join()
         self.pipe.close()
+        if self.orders.temporary is not None:
+            shutil.rmtree(self.orders.temporary, ignore_errors=True)

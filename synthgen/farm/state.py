@@ -13,13 +13,15 @@ from synthgen.planning.plan import Plan, ShardPlan
 
 @dataclass
 class Summary:
-    """What one call of `render_job` did. `complete`: the whole dataset is finished."""
+    """What one call of `render_job` did. `complete`: the whole dataset is finished; `mended`: a
+    line for each damage that was found in what had been stored."""
 
     rendered: int = 0
     frames: int = 0
     seconds: float = 0.0
     failed: list[Failure] = field(default_factory=list)
     complete: bool = False
+    mended: list[str] = field(default_factory=list)
 
 
 @dataclass

@@ -36,6 +36,8 @@ class Orders:
     device: str
     threads: int
     log: Path
+    temporary: Path | None = None
+    """Where its temporary files go; None for the system's own folder."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +78,7 @@ Message = Ready | Broken | Done | Failed | DiskFull
 
 def work(orders: Orders, pipe: Connection) -> None:
     """Entry point of the process: render subjects from `pipe` until it sends None."""
-    begin_process(orders.log)
+    begin_process(orders.log, orders.temporary)
     try:
         render = load_renderer(orders.renderer)
     except Exception as error:

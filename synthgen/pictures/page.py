@@ -10,6 +10,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from assets_procedural.conventions.colour import display, to_bytes
 from assets_procedural.conventions.files import replacing
+from synthgen.dataset.folder import StorageError
 from synthgen.dataset.reading import Dataset
 
 PAPER, INK, FAINT = (18, 18, 20), (236, 236, 238), (138, 138, 146)
@@ -44,12 +45,18 @@ def font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
     return ImageFont.load_default(size)
 
 
+def words(text: str) -> str:
+    """Somebody else's words as they can be drawn: one short line of characters that show."""
+    short = text if len(text) <= 120 else text[:117] + "..."
+    return "".join(c if c.isprintable() else "?" for c in short)
+
+
 def put(page: Image.Image, tile: Tile) -> None:
     """Draw a tile and its label."""
     page.paste(fit(tile.picture, tile.width, tile.height), (tile.x, tile.y))
     if tile.label:
         draw = ImageDraw.Draw(page)
-        draw.text((tile.x + 1, tile.y + tile.height + 3), tile.label, FAINT, font(12))
+        draw.text((tile.x + 1, tile.y + tile.height + 3), words(tile.label), FAINT, font(12))
 
 
 def save(page: Image.Image, target: Path) -> Path:
@@ -61,8 +68,18 @@ def save(page: Image.Image, target: Path) -> Path:
 
 
 def thumbnail(dataset: Dataset, identifier: str, width: int) -> np.ndarray:
-    """A panorama, exposed for its greys and developed, (width / 2, width, 3)."""
-    panorama = dataset.environment(identifier)
+    """A panorama, exposed for its greys and developed, (width / 2, width, 3).
+
+    Raises `StorageError` if it is missing or damaged.
+    """
+    try:
+        panorama = dataset.environment(identifier)
+    except KeyError:
+        raise StorageError(f"{dataset.folder}: environment {identifier} is missing") from None
+    except ValueError as error:
+        raise StorageError(f"{dataset.folder}: {error}") from None
+    # What a renderer never writes would have no exposure.
+    panorama = np.clip(np.nan_to_num(panorama, posinf=1e6, neginf=0.0), 0.0, 1e6)
     step = max(1, panorama.shape[1] // (2 * width))
     panorama = panorama[::step, ::step]
     grey = panorama.mean(-1)

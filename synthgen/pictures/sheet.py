@@ -14,7 +14,19 @@ from synthgen.dataset.reading import Dataset, open_dataset
 from synthgen.dataset.records import Description, PlannedSubset
 from synthgen.dataset.shot import Shot
 from synthgen.pictures.drawing import pictures
-from synthgen.pictures.page import EDGE, FAINT, GAP, INK, PAPER, Tile, font, put, save, thumbnail
+from synthgen.pictures.page import (
+    EDGE,
+    FAINT,
+    GAP,
+    INK,
+    PAPER,
+    Tile,
+    font,
+    put,
+    save,
+    thumbnail,
+    words,
+)
 
 SHEET = 1560
 
@@ -70,7 +82,8 @@ def sheet(out: Place, target: Path | str, subjects: int = 6) -> Path:
 def portraits(out: Place, target: Path | str, people: int = 10, columns: int = 5) -> Path:
     """Draw one picture of each of up to `people` subjects, `columns` in a row. Returns `target`."""
     dataset = open_dataset(out)
-    chosen = [dataset[positions[0]] for positions in list(dataset.subjects().values())[:people]]
+    first = [positions[0] for positions in list(dataset.subjects().values())[:people]]
+    chosen = [dataset[position] for position in first]
     size = SHEET // columns
     image = Image.new("RGB", (size * columns, size * -(-len(chosen) // columns)), PAPER)
     for i, shot in enumerate(chosen):
@@ -90,7 +103,7 @@ class _Sheet:
         """Draw everything on `image`; returns the height it takes."""
         self.image, self.y = image, EDGE
         self._text(self.info.name, 34, INK, 42)
-        resolution = self.info.job["resolution"]
+        resolution = self.info.job.get("resolution", "?")
         self._text(
             f"{people} people, {frames} images of {resolution} x {resolution} pixels", 15, FAINT, 34
         )
@@ -138,7 +151,8 @@ class _Sheet:
                     label = ""
                     if column == 0 and row == rows - 1:
                         label = _person(shots[0])
-                    self._tile(shots[column].rgb[row], x, y, tile, tile, label)
+                    if column < len(shots) and row < len(shots[column].rgb):
+                        self._tile(shots[column].rgb[row], x, y, tile, tile, label)
         self.y += -(-len(block.subjects) // block.per_line) * (height + 26) + 14
 
     def _environments(self) -> list[str]:
@@ -152,7 +166,7 @@ class _Sheet:
 
     def _text(self, text: str, size: int, colour: tuple[int, int, int], height: int) -> None:
         if self.image is not None:
-            ImageDraw.Draw(self.image).text((EDGE, self.y), text, colour, font(size))
+            ImageDraw.Draw(self.image).text((EDGE, self.y), words(text), colour, font(size))
         self.y += height
 
     def _tile(

@@ -11,7 +11,19 @@ from synthgen.dataset.folder import Place
 from synthgen.dataset.reading import open_dataset
 from synthgen.dataset.shot import Shot
 from synthgen.pictures.drawing import pictures
-from synthgen.pictures.page import EDGE, FAINT, GAP, INK, PAPER, Tile, font, put, save, thumbnail
+from synthgen.pictures.page import (
+    EDGE,
+    FAINT,
+    GAP,
+    INK,
+    PAPER,
+    Tile,
+    font,
+    put,
+    save,
+    thumbnail,
+    words,
+)
 
 
 def show(out: Place, key: str, target: Path | str, subset: str | None = None) -> Path:
@@ -33,8 +45,8 @@ def show(out: Place, key: str, target: Path | str, subset: str | None = None) ->
     height = top + rows * (light + GAP) + 8 + pass_rows * (tile + label + GAP) + EDGE
     page = Image.new("RGB", (width, height), PAPER)
     draw = ImageDraw.Draw(page)
-    draw.text((EDGE, EDGE - 8), f"{shot.meta['subset']}/{shot.key}", INK, font(22))
-    draw.text((EDGE, EDGE + 20), _caption(shot), FAINT, font(13))
+    draw.text((EDGE, EDGE - 8), words(f"{shot.meta['subset']}/{shot.key}"), INK, font(22))
+    draw.text((EDGE, EDGE + 20), words(_caption(shot)), FAINT, font(13))
     for i, use in enumerate(uses):
         x = EDGE + (i % columns) * (tile + GAP)
         y = top + (i // columns) * (light + GAP)
@@ -53,11 +65,11 @@ def show(out: Place, key: str, target: Path | str, subset: str | None = None) ->
 def _caption(shot: Shot) -> str:
     person, sample = shot.meta["person"], shot.meta["camera"]["sample"]
     strongest = sorted(shot.meta["expression"].items(), key=lambda item: -item[1])[:3]
-    words = [
+    said = [
         f"{person['age_years']:.0f} years",
         f"hair {person['hair']['style']}",
         f"camera yaw {np.degrees(sample['yaw']):.0f}°, {sample['focal_mm']:.0f} mm",
         f"{shot.meta['split']}",
         ", ".join(f"{name} {value:.2f}" for name, value in strongest if value > 0.05),
     ]
-    return "   ".join(word for word in words if word)
+    return "   ".join(word for word in said if word)

@@ -52,6 +52,10 @@ class SubsetSpec(Settings):
         return (self.views if self.kind == "multiview" else self.frames) or 0
 
 
+RESERVED = ("manifest", "failed", "runs", "logs", "locks")
+"""No subset may be called so: a dataset has folders, and a table, of these names beside those of
+its subsets."""
+
 _HEAD_METRES = 0.25
 _DISTANCE = (0.3, 30.0)
 _LANDMARK_REACH = 0.5 + LANDMARK_MARGIN
@@ -178,6 +182,8 @@ class JobSpec(Settings):
         for name in value:
             if not re.fullmatch(r"[a-z][a-z0-9_]{0,31}", name):
                 raise ValueError(f'"{name}" is no subset name; use a-z, 0-9 and _')
+            if name in RESERVED:
+                raise ValueError(f'"{name}" is no subset name: it has another meaning in a dataset')
         return value
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import hashlib
 import json
 import subprocess
 from collections.abc import Iterator
@@ -26,12 +27,13 @@ from synthgen.dataset.records import (
     Description,
     PlannedSubset,
     Quarantined,
+    ShardRecord,
     ShardSeal,
     read_description,
 )
 from synthgen.planning.job import JobSpec
-from synthgen.planning.plan import SPLITS, Plan
-from synthgen.publish import card, croissant, licences
+from synthgen.planning.plan import SPLITS, Plan, ShardPlan
+from synthgen.publish import card, checksums, croissant, licences
 
 
 @functools.cache
@@ -124,7 +126,7 @@ def check(
     differing = list(_differences("", stored, wanted))
     if not differing:
         if not info.complete:
-            _check_code(folder, info)
+            check_code(folder, info)
         there, here = ({e["id"]: e for e in pool} for pool in (info.environments, environments))
         differing = [
             f"environment {name} {_how_differs(there.get(name), here.get(name))}"
@@ -158,8 +160,11 @@ def _how_differs(there: dict[str, Any] | None, here: dict[str, Any] | None) -> s
     return "is described otherwise"
 
 
-def _check_code(folder: DatasetFolder, info: Description) -> None:
-    """Another version may make other people of the same seeds: it must not render the rest."""
+def check_code(folder: DatasetFolder, info: Description) -> None:
+    """Another version may make other people of the same seeds: it must not render the rest.
+
+    Raises `StorageError` that names both.
+    """
     here = code_version()
     if info.code != here:
         raise StorageError(
@@ -196,6 +201,14 @@ def stored_plan(out: Place) -> Plan:
         raise StorageError(f"{path}: unusable job: {reason}") from None
 
 
+def record_panoramas(folder: DatasetFolder, hashes: dict[str, str]) -> None:
+    """Record the sha256 of stored panoramas by path."""
+    info = read_description(folder)
+    files = info.files | hashes
+    if files != info.files:
+        _write(folder, info.model_copy(update={"files": files}))
+
+
 # ---------------------------------------------------------------- complete
 
 
@@ -206,24 +219,26 @@ def reopen(folder: DatasetFolder) -> None:
     """
     info = read_description(folder)
     if info.complete:
-        _check_code(folder, info)
+        check_code(folder, info)
         _write(folder, info.model_copy(update={"complete": False}))
 
 
 def complete(out: Place) -> bool:
-    """If all shards are there: merge manifests, write card, Croissant and the full dataset.json.
+    """If all shards are there: merge manifests, write card, Croissant, hashes of all files and the
+    full dataset.json.
 
     Returns whether the dataset is complete. Deterministic, and safe to repeat.
     """
     folder = DatasetFolder(out)
     plan, info = stored_plan(folder), read_description(folder)
-    shards, counts, files = [], {}, {}
+    shards, counts, files, hashes = [], {}, {}, {}
     for subset in plan.job.subsets:
         tally = {split: {"subjects": 0, "shots": 0, "frames": 0} for split in SPLITS}
         for planned in plan.shards(subset):
             record = ledger.shard_record(folder, planned.name)
             if record is None:
                 return False
+            hashes |= _hashes(folder, planned, record)
             tally[planned.split]["subjects"] += len(record.subjects)
             tally[planned.split]["shots"] += record.shots
             tally[planned.split]["frames"] += record.frames
@@ -236,7 +251,8 @@ def complete(out: Place) -> bool:
     for identifier in plan.environment_ids:
         path = folder.environment(identifier)
         if path.exists():
-            files[folder.relative(path)] = sha256(path)
+            name = folder.relative(path)
+            files[name] = info.files.get(name) or sha256(path)
     quarantined = [
         Quarantined(subset=entry.subset, key=entry.key, reason=entry.reason)
         for entry in ledger.failures(folder)
@@ -249,12 +265,38 @@ def complete(out: Place) -> bool:
             "quarantined": quarantined,
             "shards": shards,
             "files": files,
+            "checksums": folder.checksums.name,
         }
     )
+    description = _pretty(info.to_json())
     write_atomically(folder.croissant, _pretty(croissant.croissant(info)))
-    write_atomically(folder.card, card.card(info).encode())
-    _write(folder, info)
+    write_atomically(folder.card, card.card(info).encode("utf-8", "replace"))
+    write_atomically(folder.description_copy, description)
+    for path in (folder.croissant, folder.card, *folder.failure_notes()):
+        hashes[folder.relative(path)] = sha256(path)
+    for path in (folder.description, folder.description_copy):
+        hashes[folder.relative(path)] = hashlib.sha256(description).hexdigest()
+    checksums.write(folder.checksums, hashes | files)
+    write_atomically(folder.description, description)
     return True
+
+
+def _hashes(folder: DatasetFolder, shard: ShardPlan, record: ShardRecord) -> dict[str, str]:
+    """Path -> sha256 of all that a committed shard consists of, as it was when it was stored."""
+    files = folder.shard(shard.name)
+    found = {folder.relative(files.record): sha256(files.record)}
+    if not record.subjects:
+        return found
+    found |= {record.tar: record.sha256, folder.relative(files.rows): record.part_sha256}
+    for key in record.subjects:
+        subject = folder.subject(shard.subset, key)
+        for path in (subject.mesh, subject.parameters):
+            name = folder.relative(path)
+            if name in record.files:
+                found[name] = record.files[name]
+            elif path.exists():  # records of older versions say nothing of them
+                found[name] = sha256(path)
+    return found
 
 
 def _write(folder: DatasetFolder, info: Description) -> None:
@@ -263,4 +305,7 @@ def _write(folder: DatasetFolder, info: Description) -> None:
 
 def _pretty(value: Any) -> bytes:
     json.loads(encode_json(value))  # refuses NaN before a file is touched
-    return (json.dumps(value, indent=1, ensure_ascii=False) + "\n").encode()
+    # A lone surrogate, which may come with words of somebody else, becomes an escape of JSON.
+    return (json.dumps(value, indent=1, ensure_ascii=False) + "\n").encode(
+        "utf-8", "backslashreplace"
+    )

@@ -10,17 +10,16 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-import duckdb
 import numpy as np
 
 from assets_procedural.conventions import console
-from assets_procedural.conventions.files import sha256
-from synthgen.dataset import columns, ledger
-from synthgen.dataset.codecs import decode_exr
+from assets_procedural.conventions.files import read_regular, sha256
+from synthgen.dataset import columns, database, ledger, manifest
+from synthgen.dataset.codecs import LARGEST, decode_exr
 from synthgen.dataset.folder import DatasetFolder, Place, StorageError
 from synthgen.dataset.records import FORMAT, description_json
 from synthgen.planning.plan import SPLITS, Plan, ShardPlan
-from synthgen.publish import publish
+from synthgen.publish import checksums, publish
 from synthgen.publish.verify_shard import UNCHECKED, check_shard, unfailing
 
 # Below this, starting processes takes longer than checking.
@@ -44,10 +43,12 @@ def verify(out: Place, workers: int | None = None) -> list[str]:
     except StorageError as error:
         return [str(error)]
     problems = list(unfailing("dataset.json", _check_files(folder, info, plan)))
+    unreadable = {p.split(":")[0] for p in problems}
+    name = folder.checksums.name
+    problems += [p for p in unfailing(name, _check_list(folder, info, plan)) if p not in problems]
     # Another version may plan other people from the same seed: then only its own can tell.
     same_code = info.get("code") == publish.code_version()
     planned = [s for subset in plan.job.subsets for s in plan.shards(subset)]
-    unreadable = {p.split(":")[0] for p in problems}
     tables = {}
     for subset in plan.job.subsets:
         path = folder.manifest(subset)
@@ -115,14 +116,43 @@ def _check_files(folder: DatasetFolder, info: dict[str, Any], plan: Plan) -> Ite
                 yield f"{path.name}: missing"
         if folder.croissant.is_file():
             try:
-                json.loads(folder.croissant.read_bytes())
+                json.loads(read_regular(folder.croissant, 256 << 20))
             except ValueError as error:
                 yield f"{folder.croissant.name}: not valid JSON ({error})"
 
 
+def _check_list(folder: DatasetFolder, info: dict[str, Any], plan: Plan) -> Iterator[str]:
+    """Every file against the list of hashes, and no others; older datasets have no list."""
+    if not info.get("complete"):
+        return
+    if not folder.checksums.is_file():
+        if info.get("checksums"):
+            yield f"{folder.checksums.name}: missing"
+        return
+    try:
+        listed = checksums.read(folder.checksums)
+    except ValueError as error:
+        yield f"{folder.checksums.name}: {error}"
+        return
+    # What other checks read and hash anyway need only be listed with the same hash.
+    elsewhere: dict[str, str] = dict(info.get("files", {}))
+    for subset in plan.job.subsets:
+        for _, record in ledger.committed(folder, subset):
+            elsewhere[record.tar] = record.sha256
+    for name, digest in listed.items():
+        path = folder.inside(name)
+        if not path.is_file():
+            yield f"{name}: missing"
+        elif (elsewhere[name] if name in elsewhere else sha256(path)) != digest:
+            yield f"{name}: changed since it was written (sha256 differs from SHA256SUMS)"
+    for path in folder.published():
+        if (name := folder.relative(path)) not in listed:
+            yield f"{name}: a file that the dataset does not have"
+
+
 def _check_environment(path: Path, name: str) -> Iterator[str]:
     try:
-        planes = decode_exr(path.read_bytes())
+        planes = decode_exr(read_regular(path, LARGEST))
         image = np.stack([planes[c] for c in "RGB"], -1)
     except Exception as error:  # OpenEXR raises what it likes on damaged bytes
         yield f"{name}: does not decode ({' '.join(str(error).split())[:120]})"
@@ -139,8 +169,8 @@ def _check_table(
     """A manifest as a whole; its rows are compared with the samples shard by shard."""
     path = folder.manifest(subset)
     name = folder.relative(path)
-    with duckdb.connect() as connection:
-        table = connection.read_parquet(str(path))
+    with database.locked([path]) as connection:
+        table = connection.sql(f"SELECT * FROM {manifest.parquet_source([path])}")
         names = table.columns
         shards = dict(table.aggregate("shard, count(*)").fetchall())
         repeated = table.aggregate("count(*) - count(DISTINCT key)").fetchall()[0][0]
@@ -173,14 +203,38 @@ def _check_totals(
                     )
         for subset, spec in plan.job.subsets.items():
             stated = info.get("plan", {}).get(subset, {})
-            if stated.get("subjects") != spec.subjects:
+            planned_counts = {
+                "kind": spec.kind,
+                "subjects": spec.subjects,
+                "shots_per_subject": spec.shots,
+                "frames_per_subject": spec.shots * spec.environments,
+            }
+            if any(stated.get(name) != value for name, value in planned_counts.items()):
                 yield f"dataset.json: plan of {subset} does not agree with its job"
+        if info.get("plan", {}).keys() != plan.job.subsets.keys():
+            yield "dataset.json: plan has other subsets than its job"
+        if info.get("name") != plan.job.name:
+            yield "dataset.json: name does not agree with its job"
+        yield from _check_seals(folder, info, planned)
         yield from _check_quarantined(folder, info, plan.job.subsets)
     known = {folder.shard(shard.name).tar for shard in planned}
     for path in sorted(folder.data.rglob("*")):
         if path not in known and not path.is_dir():
             what = "shard" if path.suffix == ".tar" else "file"
             yield f"{folder.relative(path)}: a {what} that the job does not have"
+
+
+def _check_seals(
+    folder: DatasetFolder, info: dict[str, Any], planned: list[ShardPlan]
+) -> Iterator[str]:
+    """What dataset.json says of the shards against their records."""
+    stated = [(s["tar"], s["bytes"], s["sha256"]) for s in info.get("shards", ())]
+    records = [record for s in planned if (record := ledger.record_of(folder, s.name))]
+    recorded = [(r.tar, r.bytes, r.sha256) for r in records if r.subjects]
+    for tar, *_ in sorted(set(stated) ^ set(recorded)):
+        yield f"dataset.json: bytes and sha256 of {tar} are not those of its record"
+    if len(stated) != len(set(stated)):
+        yield "dataset.json: shards repeats a shard"
 
 
 def _check_quarantined(

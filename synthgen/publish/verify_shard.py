@@ -9,11 +9,11 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from assets_procedural.conventions.files import sha256
+from assets_procedural.conventions.files import open_regular, read_regular, sha256
 from synthgen.dataset import columns, manifest
 from synthgen.dataset.folder import DatasetFolder
 from synthgen.dataset.gate import inspect
-from synthgen.dataset.records import ShardRecord
+from synthgen.dataset.records import LARGEST_RECORD, ShardRecord
 from synthgen.dataset.shards import decode
 from synthgen.dataset.shot import Shot, shown_expression
 from synthgen.planning.plan import ShardPlan, SubjectPlan, subject_key
@@ -66,7 +66,7 @@ def _shard_problems(
     files = folder.shard(shard.name)
     path = files.tar
     try:
-        content = files.record.read_bytes()
+        content = read_regular(files.record, LARGEST_RECORD)
     except OSError:
         yield "has no record in the ledger" if path.exists() else "missing"
         return
@@ -112,7 +112,7 @@ def _samples(
     fields: list[str] | None = None
     # tarfile, and not our own reader: what others rely on is what is checked.
     try:
-        with tarfile.open(path) as archive:
+        with open_regular(path) as file, tarfile.open(fileobj=file) as archive:
             for key, members, places in _grouped(archive):
                 names = [place["name"] for place in places]
                 if fields is not None and names != fields:
@@ -148,6 +148,8 @@ def _sample(
 ) -> Iterator[str]:
     problems, quality = inspect(shot)
     yield from problems
+    if shot.meta.get("key") != shot.key:
+        yield f"its meta.json is of {str(shot.meta.get('key'))[:40]}"
     if problems:
         return
     if against_plan is not None:

@@ -1,8 +1,9 @@
 """A renderer without Blender: the head is a sphere, with true depth, normals and landmarks.
 
 Named to workers as `RENDERER`. `TROUBLE`, an environment variable with
-JSON {subject key: kind}, makes subjects crash, hang, raise, break the gate or fill the disk; with
-a "<kind> once" only the first attempt fails.
+JSON {subject key: kind}, makes subjects crash, hang, raise, break the gate, fill the disk, raise
+words that no file can hold, call their number "one", or leave temporary files behind; with a
+"<kind> once" only the first attempt does.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import errno
 import json
 import os
 import signal
+import tempfile
 import time
 from pathlib import Path
 from typing import Any
@@ -53,6 +55,10 @@ def render_subject(
     shots = [_shot(subject, shot, job) for shot in subject.shots]
     if spoil == "gate":
         shots[-1].depth[:] = np.nan
+    elif spoil == "index":
+        shots[-1].meta["index"] = "one"
+    elif spoil == "pose":
+        shots[-1].meta["pose"] = 2**40
     return RenderedSubject(shots, b"glTF" + subject.key.encode(), {"seed": subject.seed})
 
 
@@ -70,6 +76,10 @@ def _trouble(subject: SubjectPlan, out: Path) -> str:
         time.sleep(3600)
     elif kind == "raise":
         raise RuntimeError("no hair left\nand a second line")
+    elif kind == "surrogate":
+        raise RuntimeError("no \ud800 left")
+    elif kind == "litter":
+        tempfile.mkdtemp(prefix="blender_")
     elif kind == "full":
         raise OSError(errno.ENOSPC, "No space left on device")
     return kind

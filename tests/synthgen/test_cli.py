@@ -256,6 +256,22 @@ def test_render_status_and_verify(
     assert checked.returncode == 1
     assert shard.name in checked.stdout
 
+    refused = synthgen("verify", out, "--repair")
+    assert refused.returncode == 2
+    assert "was rendered by 'fake_renderer:render_subject'" in refused.stderr
+    repaired = synthgen("verify", out, "--repair", *FAKE)
+    assert repaired.returncode == 0, repaired.stdout
+    assert (
+        f"repaired: data/{shard.relative_to(out / 'data')}: it or what belongs" in repaired.stdout
+    )
+    assert repaired.stdout.endswith("all checks passed\n")
+    description = out / "dataset.json"
+    description.unlink()
+    assert "no dataset here" in failure("verify", out)
+    repaired = synthgen("verify", out, "--repair", *FAKE)
+    assert repaired.returncode == 0, repaired.stdout
+    assert "repaired: dataset.json: restored from ledger/dataset.json" in repaired.stdout
+
 
 @pytest.fixture
 def out(small_dataset: Path, tmp_path: Path) -> Path:
@@ -300,7 +316,7 @@ def test_show_takes_every_form_of_a_key(
 def test_rerender_takes_every_form_of_a_key(
     synthgen: Synthgen, out: Path, key: tuple[str, ...], name: str
 ) -> None:
-    result = synthgen("rerender", out, *key)
+    result = synthgen("rerender", out, *key, *FAKE)
     assert result.returncode == 0, result.stderr
     assert result.stdout.startswith(f"{name}: identical\n")
 

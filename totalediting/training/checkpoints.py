@@ -56,6 +56,7 @@ def save(run: Path, checkpoint: Checkpoint, is_best: bool) -> Path:
         InputError: the disk is full or not writable; earlier checkpoints stay intact.
     """
     target = run / "checkpoints" / f"{checkpoint.step:08d}"
+    _clean(run)
     try:
         _write(target, checkpoint)
         if is_best:
@@ -207,6 +208,14 @@ def restore_optimiser(optimiser: torch.optim.Optimizer, tensors: dict[str, Tenso
         state.setdefault(int(index), {})[name] = value
     whole = optimiser.state_dict()
     optimiser.load_state_dict({"state": state, "param_groups": whole["param_groups"]})
+
+
+def _clean(run: Path) -> None:
+    """Remove what killed processes left under temporary names: a run has one process at a time."""
+    for path in (run / "checkpoints").glob(".[0-9]*.[0-9]*"):
+        shutil.rmtree(path, ignore_errors=True)
+    for path in run.glob(".*.[0-9]*.tmp"):
+        path.unlink(missing_ok=True)
 
 
 def _write(target: Path, checkpoint: Checkpoint) -> None:

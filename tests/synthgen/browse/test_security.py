@@ -523,3 +523,9 @@ def test_elsewhere_than_on_loopback_the_command_prints_a_token(small_dataset: Pa
     finally:
         process.terminate()
         process.wait(timeout=10)
+
+
+def test_a_condition_nested_deeply_is_refused(ask: TestClient):
+    for where in ("NOT " * 990 + "true", "(" * 1500 + "true" + ")" * 1500):
+        answer = ask.get("/api/shots", params={"where": where})
+        assert answer.status_code == 400 and "\n" not in answer.json()["error"]

@@ -191,7 +191,9 @@ def test_the_card_gives_hugging_face_subsets_and_splits(
 
 
 def test_rerender_comes_out_the_same(out: Path):
-    report = rerender.rerender(out, "s000002_p01", subset="multiview")
+    report = rerender.rerender(
+        out, "s000002_p01", subset="multiview", renderer=fake_renderer.RENDERER
+    )
     assert report.identical, str(report)
     assert str(report).startswith("multiview/s000002_p01: identical")
     with pytest.raises(StorageError, match="no shot"):
@@ -201,7 +203,7 @@ def test_rerender_comes_out_the_same(out: Path):
 def test_rerender_says_why_it_failed(out: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setenv("TROUBLE", json.dumps({"s000002": "raise"}))
     with pytest.raises(StorageError, match=r"again failed: RuntimeError: no hair left$"):
-        rerender.rerender(out, "video/s000002_p01")
+        rerender.rerender(out, "video/s000002_p01", renderer=fake_renderer.RENDERER)
 
 
 def test_rerender_reports_a_difference(out: Path):

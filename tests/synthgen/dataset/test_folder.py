@@ -54,7 +54,7 @@ def test_no_record_names_a_file_outside(name: str):
 def test_a_dataset_lies_where_the_folder_says(small_dataset: Path):
     folder = DatasetFolder(small_dataset)
     dataset = open_dataset(folder)
-    known = {folder.description, folder.card, folder.croissant}
+    known = {folder.description, folder.card, folder.croissant, folder.description_copy}
     known |= {folder.environment(e["id"]) for e in dataset.description.environments}
     for subset in dataset.description.plan:
         known.add(folder.manifest(subset))
@@ -65,6 +65,8 @@ def test_a_dataset_lies_where_the_folder_says(small_dataset: Path):
             for key in record.subjects:
                 subject = folder.subject(subset, key)
                 known |= {subject.mesh, subject.parameters}
+    assert known == set(folder.published())
+    known.add(folder.checksums)
     assert known == {path for path in small_dataset.rglob("*") if path.is_file()}
 
 
@@ -86,8 +88,14 @@ def test_records_are_stored_as_they_were_read(small_dataset: Path):
         assert ledger.encode_json(ShardRecord.parse(content, "").to_json()) == content
 
 
+def test_no_words_keep_a_record_from_being_stored():
+    entry = {"subset": "a", "key": "b", "attempts": 1, "reason": "\ud800é", "log": ""}
+    failure = Failure.parse(json.dumps(entry).encode(), "")
+    assert failure.reason.encode() == "?é".encode()
+
+
 def test_records_pass_unknown_keys_through():
-    entry = {"subset": "a", "key": "b", "attempts": 1, "reason": "\ud800", "log": "", "more": [1]}
+    entry = {"subset": "a", "key": "b", "attempts": 1, "reason": "é", "log": "", "more": [1]}
     assert Failure.parse(json.dumps(entry).encode(), "").to_json() == entry
     note = {"pid": 1, "started": 2, "workers": 1, "frames": 0, "running": [["a", "b", 1.5]]}
     assert RunNote.parse(json.dumps(note).encode(), "").running == [("a", "b", 1.5)]

@@ -91,10 +91,16 @@ def test_concatenated_subjects_are_a_tar(tmp_path: Path):
     for name in "ab":
         entry = shards.tar_entry(f"{name}.txt", name.encode() * 700)
         (tmp_path / name).write_bytes(entry)
-    starts, size, digest = shards.concatenate([tmp_path / "a", tmp_path / "b"], tmp_path / "c.tar")
+    parts = [tmp_path / "a", tmp_path / "b"]
+    starts, size, digest, each = shards.concatenate(parts, tmp_path / "c.tar")
     data = (tmp_path / "c.tar").read_bytes()
     assert (len(data), hashlib.sha256(data).hexdigest()) == (size, digest)
     assert starts == [0, 512 + 1024]
+    assert each == [hashlib.sha256(part.read_bytes()).hexdigest() for part in parts]
+    with pytest.raises(shards.Changed, match="changed since") as error:
+        shards.concatenate(parts, tmp_path / "d.tar", [each[0], each[0]])
+    assert error.value.place == 1
+    assert not (tmp_path / "d.tar").exists()
     with tarfile.open(fileobj=io.BytesIO(data)) as archive:
         assert archive.getnames() == ["a.txt", "b.txt"]
         assert {m.mtime for m in archive} == {0}

@@ -63,7 +63,7 @@ def whole(small_dataset: Path) -> Path:
 def test_a_finished_dataset_is_tidy_and_true(whole: Path):
     names = {p.name for p in whole.iterdir()}
     assert names == {
-        *("data", "dataset.json", "README.md", "croissant.json", "manifest"),
+        *("data", "dataset.json", "README.md", "croissant.json", "SHA256SUMS", "manifest"),
         *("environments", "subjects", "ledger"),
     }
     assert not list(whole.rglob("*.tmp"))
@@ -272,9 +272,9 @@ def test_a_shot_that_cannot_be_rendered_again_is_one_line(
     monkeypatch.setenv("TROUBLE", json.dumps({"s000001": "raise", "s000002": "hang"}))
     failed = "s00000._p01: rendering it again failed"
     with pytest.raises(StorageError, match=f"{failed}: RuntimeError: no hair left$"):
-        rerender(whole, "multiview/s000001_p01")
+        rerender(whole, "multiview/s000001_p01", renderer=fake_renderer.RENDERER)
     with pytest.raises(StorageError, match=f"{failed}: took more than 2 s$"):
-        rerender(whole, "multiview/s000002_p01", time_limit=2.0)
+        rerender(whole, "multiview/s000002_p01", time_limit=2.0, renderer=fake_renderer.RENDERER)
 
 
 def test_a_broken_set_up_does_not_quarantine_everybody(
@@ -455,7 +455,9 @@ def test_another_panorama_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyP
     track = Progress.track
 
     def noted(bar: Progress, items: Any, **options: Any) -> Any:
-        shown.extend(spec.id for spec in items)
+        if "panoramas" in options["description"]:
+            items = list(items)
+            shown.extend(spec.id for spec in items)
         return track(bar, items, **options)
 
     monkeypatch.setattr(Progress, "track", noted)
@@ -470,10 +472,8 @@ def test_another_panorama_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert "\n" not in str(e.value)
     assert sha256(out / "environments" / "user_b.exr") == stored
     panorama_files.write(mine / "b.exr", np.full((8, 16, 3), 0.5), {})
-    (out / "environments" / "user_a.exr").write_bytes(b"as it was rendered with")
     (out / "environments" / "user_b.exr").unlink()
     render(out, job=job, limit=1)
-    assert (out / "environments" / "user_a.exr").read_bytes() == b"as it was rendered with"
     assert sha256(out / "environments" / "user_b.exr") == stored
     (mine / "d.exr").unlink()
     with pytest.raises(StorageError, match=r"environment user_d is missing here"):

@@ -91,6 +91,13 @@ BAD_VALUES = [
     ("subsets.multiview.kind=vdeo", 'kind = "vdeo": did you mean "video"? choose'),
     ("subsets.multiview=3", "subsets.multiview = 3: give a table of settings"),
     ("subsets.Other={}", "subsets.Other"),
+    *(
+        (
+            f"subsets.{name}={{kind='video', subjects=1, environments=1, frames=1}}",
+            f'"{name}" is no subset name: it has another meaning in a dataset',
+        )
+        for name in ("manifest", "failed", "runs", "logs", "locks")
+    ),
     ("subsets={}", "subsets = {}: a job needs at least one subset"),
     ("camera=3", "camera = 3: give a table of settings"),
     ("camera.yaw=[60, -60]", "camera.yaw = [60, -60]: [60, -60] must be [low, high]"),

@@ -88,7 +88,8 @@ def test_croissant_is_valid_for_mlcroissant(out: Path, caplog: pytest.LogCapture
         keys = [row[f"{subset}/key"].decode() for row in rows]
         assert keys == [str(key) for key in open_dataset(out, subset=subset).index.key]
         shard = out / rows[0][f"{subset}/shard"].decode()
-        members = read_sample(shard, rows[0][f"{subset}/offset"], rows[0][f"{subset}/size"])
+        place = rows[0][f"{subset}/offset"], rows[0][f"{subset}/size"]
+        members = read_sample(shard, *place, keys[0])
         assert members["albedo.png"].startswith(b"\x89PNG")
 
 

@@ -7,6 +7,7 @@ import dataclasses
 import io
 import json
 import shutil
+import subprocess
 import tarfile
 from collections.abc import Callable
 from pathlib import Path
@@ -21,6 +22,7 @@ from synthgen.dataset import manifest, open_dataset
 from synthgen.dataset.folder import DatasetFolder, StorageError
 from synthgen.dataset.shards import decode, encode, tar_entry
 from synthgen.farm.rerender import Difference, compare
+from synthgen.publish import checksums
 from synthgen.publish.verify import verify
 
 TAR = "data/multiview/train-000000.tar"
@@ -140,6 +142,7 @@ def record_without(name: str) -> Callable[[Path], object]:
 def give_up(record: dict) -> None:
     """As if a subject had failed, of which dataset.json knows nothing."""
     record["failed"].append(record["subjects"].pop())
+    record["subject_sha256"].pop()
 
 
 DAMAGE: dict[str, tuple[Callable[[Path], object], str]] = {
@@ -281,6 +284,69 @@ DAMAGE: dict[str, tuple[Callable[[Path], object], str]] = {
         lambda o: forge_manifest(o, "*", "SELECT *"),
         "rows repeat the key of another",
     ),
+    "changed parameters of a subject": (
+        lambda o: flip(next((o / "subjects/video").glob("*.json")), 3),
+        ".json: changed since it was written (sha256 differs from SHA256SUMS)",
+    ),
+    "changed card": (lambda o: flip(o / "README.md", 50), "README.md: changed since"),
+    "changed croissant": (
+        lambda o: edit_json(o / "croissant.json", lambda d: d.update(name="x")),
+        "croissant.json: changed since",
+    ),
+    "exchanged panoramas": (
+        lambda o: (
+            shutil.copy(o / "environments/city.exr", o / "city"),
+            shutil.copy(o / "environments/night.exr", o / "environments/city.exr"),
+            (o / "city").replace(o / "environments/night.exr"),
+        ),
+        "environments/night.exr: changed since",
+    ),
+    "exchanged keys of the manifest under forged checksums": (
+        lambda o: forge_manifest(
+            o,
+            "* REPLACE (CASE key WHEN 's000000_p00' THEN 's000000_p01' "
+            "WHEN 's000000_p01' THEN 's000000_p00' ELSE key END AS key)",
+        ),
+        "s000000_p00: the manifest's",
+    ),
+    "key in meta.json under forged checksums": (
+        lambda o: rewrite(
+            o,
+            lambda m: (
+                m | {"meta.json": m["meta.json"].replace(b'"s000000_p00"', b'"s000000_p01"', 1)}
+            ),
+            seal=True,
+        ),
+        "its meta.json is of s000000_p01",
+    ),
+    "size of a shard in dataset.json": (
+        lambda o: edit_json(o / "dataset.json", lambda d: d["shards"][0].update(bytes=1)),
+        "dataset.json: bytes and sha256 of data/multiview/train-000000.tar are not those",
+    ),
+    "sha256 of a shard in dataset.json": (
+        lambda o: edit_json(o / "dataset.json", lambda d: d["shards"][0].update(sha256="0" * 64)),
+        "dataset.json: bytes and sha256 of data/multiview/train-000000.tar are not those",
+    ),
+    "repeated shard in dataset.json": (
+        lambda o: edit_json(o / "dataset.json", lambda d: d["shards"].append(d["shards"][0])),
+        "dataset.json: shards repeats a shard",
+    ),
+    "planned frames": (
+        lambda o: edit_json(
+            o / "dataset.json", lambda d: d["plan"]["video"].update(frames_per_subject=9)
+        ),
+        "dataset.json: plan of video does not agree with its job",
+    ),
+    "changed dataset.json": (
+        lambda o: edit_json(o / "dataset.json", lambda d: d.update(created="2000-01-01")),
+        "dataset.json: changed since",
+    ),
+    "changed list": (lambda o: flip(o / "SHA256SUMS", 5), "SHA256SUMS: changed since"),
+    "missing list": (lambda o: (o / "SHA256SUMS").unlink(), "SHA256SUMS: missing"),
+    "unknown panorama": (
+        lambda o: shutil.copy(o / "environments/city.exr", o / "environments/more.exr"),
+        "environments/more.exr: a file that the dataset does not have",
+    ),
     "unknown file": (
         lambda o: (o / "data/notes.txt").write_text("?"),
         "data/notes.txt: a file that the job does not have",
@@ -310,6 +376,36 @@ def test_damage_is_caught(out: Path, name: str):
     problems = verify(out)
     assert any(message in problem for problem in problems), problems
     assert all("\n" not in problem for problem in problems)
+
+
+def test_a_dataset_without_a_list_is_verified_as_before(out: Path):
+    for name in ("SHA256SUMS", "ledger/dataset.json"):
+        (out / name).unlink()
+    edit_json(out / "dataset.json", lambda d: d.pop("checksums"))
+    for path in out.glob("ledger/*/*.json"):
+        edit_json(path, lambda record: (record.pop("files"), record.pop("subject_sha256")))
+    assert verify(out) == []
+    (out / "notes.txt").write_text("mine")
+    assert verify(out) == []
+    flip(out / "environments/city.exr", 90_000)
+    assert any("environments/city.exr: changed" in problem for problem in verify(out))
+
+
+def test_sha256sum_reads_the_list(out: Path):
+    command = ["sha256sum", "--check", "--strict", "--quiet", "SHA256SUMS"]
+    assert subprocess.run(command, cwd=out, check=False).returncode == 0
+    listed = checksums.read(out / "SHA256SUMS")
+    files = {p.relative_to(out).as_posix() for p in out.rglob("*") if p.is_file()}
+    assert set(listed) == files - {"SHA256SUMS"}
+
+
+def test_every_byte_of_the_list_is_covered(out: Path):
+    path = out / "SHA256SUMS"
+    for position in range(path.stat().st_size):
+        flip(path, position)
+        with pytest.raises(ValueError, match="changed since"):
+            checksums.read(path)
+        flip(path, position)
 
 
 def test_every_region_of_a_shard_is_covered(out: Path):

@@ -71,6 +71,17 @@ def test_a_full_disk_loses_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert checkpoints.best(tmp_path).step == 1
 
 
+def test_what_killed_saves_left_is_removed_by_the_next(tmp_path: Path) -> None:
+    checkpoints.save(tmp_path, checkpoint(1), is_best=True)
+    left = tmp_path / "checkpoints" / ".00000002.12345"
+    left.mkdir()
+    (left / "model.safetensors").write_bytes(b"half")
+    (tmp_path / ".best.json.12345.tmp").touch()
+    checkpoints.save(tmp_path, checkpoint(2), is_best=False)
+    assert sorted(p.name for p in (tmp_path / "checkpoints").iterdir()) == ["00000001", "00000002"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["best.json", "checkpoints"]
+
+
 def test_pickles_are_never_loaded(tmp_path: Path) -> None:
     path = checkpoints.save(tmp_path, checkpoint(1), is_best=False)
     torch.save({"x": Path}, path / "model.safetensors")
