@@ -1,4 +1,4 @@
-"""Feed a dataset to PyTorch: a Dataset that decodes only what it needs, and a DataLoader.
+"""Feed a dataset to PyTorch: fields of its shots as a map-style dataset, and a DataLoader.
 
     python examples/read_torch.py out/demo
 
@@ -9,45 +9,38 @@ from __future__ import annotations
 
 import sys
 
-import numpy as np
 import torch
 from torch import Tensor
-from torch.utils.data import DataLoader, Dataset
+from torch.utils.data import DataLoader
 
 from synthgen import open_dataset
 
 
-class Albedo(Dataset[tuple[Tensor, Tensor]]):
-    """Pictures under their first light and their albedo, each (3, H, W) in [0, 1]."""
-
-    def __init__(self, folder: str, split: str = "train") -> None:
-        # Holds an index alone and opens files per access: workers may share it.
-        self.shots = open_dataset(folder, split=split)
-
-    def __len__(self) -> int:
-        return len(self.shots)
-
-    def __getitem__(self, position: int) -> tuple[Tensor, Tensor]:
-        read = self.shots.read(position, ("rgb_00", "albedo"))
-        return picture(read["rgb_00"]), picture(read["albedo"])
-
-
-def picture(pixels: np.ndarray) -> Tensor:
-    """(H, W, 3) of 8 bits as (3, H, W) in [0, 1]."""
-    return torch.from_numpy(pixels.copy()).movedim(-1, 0) / 255
+def picture(pixels: Tensor) -> Tensor:
+    """(N, H, W, 3) of 8 bits as (N, 3, H, W) in [0, 1]."""
+    return pixels.movedim(-1, 1) / 255
 
 
 def main(folder: str) -> None:
     torch.manual_seed(0)
-    loader = DataLoader(Albedo(folder), batch_size=4, shuffle=True, num_workers=2)
+    # Holds an index alone, and decodes only these fields: workers may share it.
+    samples = open_dataset(folder, split="train").samples(("rgb_00", "albedo", "parts", "camera"))
+    # torch asks for no base class, whatever its types say.
+    loader = DataLoader(samples, batch_size=4, shuffle=True, num_workers=2)  # pyright: ignore
     network = torch.nn.Conv2d(3, 3, kernel_size=5, padding=2)
     optimiser = torch.optim.Adam(network.parameters(), lr=1e-2)
-    for source, albedo in loader:
-        loss = (network(source) - albedo).abs().mean()
+    for batch in loader:
+        source, albedo = picture(batch["rgb_00"]), picture(batch["albedo"])
+        inside = (batch["parts"] > 0)[:, None]  # ids, (N, H, W)
+        loss = ((network(source) - albedo).abs() * inside).mean()
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()
-        print(f"{len(source)} pictures of {tuple(source.shape[1:])}: loss {loss.item():.3f}")
+        focal = batch["camera"]["intrinsics"][:, 0, 0].mean()
+        print(
+            f"{len(source)} pictures of {tuple(source.shape[1:])}, "
+            f"focal length {focal:.0f} pixels: loss {loss.item():.3f}"
+        )
 
 
 if __name__ == "__main__":

@@ -30,9 +30,9 @@ def run(*command: str | Path, **variables: str) -> str:
     ("example", "arguments", "said"),
     [
         ("read_numpy.py", [], "the first is lit by "),
-        ("read_torch.py", [], "pictures of (3, 48, 48): loss 0."),
-        ("read_webdataset.py", [], "(48, 48, 3), mean albedo "),
-        ("read_hugging_face.py", ["multiview"], ": (48, 48), head at "),
+        ("read_torch.py", [], "pictures of (3, 48, 48), focal length "),
+        ("read_webdataset.py", [], "more: (48, 48, 3), 3 parts, up to 1."),
+        ("read_hugging_face.py", ["multiview"], ": (48, 48, 3), head at [-0."),
     ],
 )
 def test_it_reads_the_dataset(

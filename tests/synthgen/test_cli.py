@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
+import csv
 import json
+import os
 import re
 import resource
 import shutil
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from functools import partial
+from math import isnan
 from pathlib import Path
 
+import duckdb
 import fake_renderer
 import pytest
 from answer import Answer
 
+from assets_procedural.conventions import console
 from synthgen import __version__, cli
 
 ROOT = Path(__file__).parents[2]
@@ -357,3 +363,117 @@ def test_usage_errors_exit_with_2(synthgen: Synthgen, job: Path) -> None:
         answer = synthgen(*arguments)
         assert answer.returncode == 2
         assert "is not" in answer.stderr
+
+
+EVERYTHING = "SELECT key, width, environments, head_yaw, NULL AS nothing FROM manifest ORDER BY 1"
+
+
+def test_a_pipe_gets_csv_whole(synthgen: Synthgen, small_dataset: Path) -> None:
+    rows = list(csv.DictReader(synthgen("query", small_dataset, EVERYTHING).stdout.splitlines()))
+    assert len(rows) == 16
+    assert rows[0]["width"] == "48" and rows[0]["nothing"] == ""
+    assert json.loads(rows[0]["environments"])
+    long = synthgen("query", small_dataset, "SELECT repeat('x', 5000) AS x").stdout
+    assert long == "x\n" + "x" * 5000 + "\n"
+
+
+def test_json_and_parquet_keep_types(
+    synthgen: Synthgen, small_dataset: Path, tmp_path: Path
+) -> None:
+    rows = json.loads(synthgen("query", small_dataset, EVERYTHING, "--format", "json").stdout)
+    assert len(rows) == 16 and rows[0]["width"] == 48
+    assert isinstance(rows[0]["environments"], list)
+    target = tmp_path / "rows.parquet"
+    everything = (
+        "SELECT *, 'nan'::FLOAT AS n, '2020-01-02'::DATE AS d, 1 AS a, 2 AS a FROM manifest"
+    )
+    assert synthgen("query", small_dataset, everything, "--output", target).returncode == 0
+    with duckdb.connect() as connection:
+        table = connection.read_parquet(str(target))
+        kinds = dict(zip(table.columns, map(str, table.types), strict=True))
+        assert len(table) == 16
+        assert isnan(table.select("n").fetchall()[0][0])
+    assert (kinds["d"], kinds["n"], kinds["a"], kinds["a_1"]) == (
+        *("DATE", "FLOAT"),
+        *("INTEGER", "INTEGER"),
+    )
+    assert kinds["environments"] == "VARCHAR[]" and kinds["members"].startswith("STRUCT(")
+    assert [path.name for path in tmp_path.iterdir()] == ["rows.parquet"]
+    assert "no rows" not in synthgen("query", small_dataset, "SELECT 1 WHERE false").stdout
+
+
+def test_a_wide_answer_stands_upright(synthgen: Synthgen, small_dataset: Path) -> None:
+    narrow = synthgen("query", small_dataset, EVERYTHING, "--format", "table").stdout.splitlines()
+    assert narrow[0].split() == ["key", "width", "environments", "head_yaw", "nothing"]
+    assert len(narrow) == 2 + 16
+    wide = synthgen("query", small_dataset, "SELECT * FROM manifest", "--format", "table").stdout
+    assert wide.startswith("── row 1 ──")
+    assert re.search(r"^person_age_years +[\d.]+$", wide, re.MULTILINE)
+
+
+def test_many_rows_take_seconds(synthgen: Synthgen, small_dataset: Path) -> None:
+    start = time.process_time()
+    many = synthgen("query", small_dataset, "SELECT key, range FROM manifest, range(12500)").stdout
+    assert many.count("\n") == 200_001
+    assert time.process_time() - start < 5
+
+
+@pytest.mark.parametrize("sql", ["", "/* nothing */", "SELECT", "SELECT nonsense FROM manifest"])
+def test_what_is_no_query_is_one_line(
+    failure: Callable[..., str], small_dataset: Path, sql: str
+) -> None:
+    assert failure("query", small_dataset, sql).startswith("error: query: ")
+
+
+def test_pictures_go_where_they_can_be_written(
+    synthgen: Synthgen, out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    here = tmp_path / "here"
+    here.mkdir()
+    can, monkey = os.access, monkeypatch
+    monkey.setattr(os, "access", lambda path, mode: Path(path) != tmp_path and can(path, mode))
+    monkey.chdir(here)
+    assert synthgen("sheet", out).returncode == 0
+    assert [path.name for path in here.iterdir()] == ["out.png"]
+    monkey.setattr(os, "access", lambda path, mode: not mode & os.W_OK and can(path, mode))
+    line = synthgen("export", out).error
+    assert line.startswith("error: --output: neither ") and line.endswith("give another place")
+
+
+def test_a_part_of_a_dataset_is_exported(synthgen: Synthgen, out: Path, tmp_path: Path) -> None:
+    target = tmp_path / "part"
+    chosen = ("--subset", "video", "--split", "train", "--where", "view = 0 AND pose < 1")
+    assert synthgen("export", out, *chosen, "--output", target).returncode == 0
+    assert [path.name for path in target.iterdir()] == ["video"]
+    frames = [json.loads(p.read_text())["frames"] for p in target.rglob("transforms.json")]
+    assert frames and all(len(each) == 1 for each in frames)
+    assert "no shot to export" in synthgen("export", out, "--where", "false").error
+
+
+def test_damaged_files_are_one_line_in_every_command(
+    failure: Callable[..., str], out: Path
+) -> None:
+    for shard in (out / "data" / "multiview").glob("*.tar"):
+        shard.write_bytes(shard.read_bytes()[:3000])
+    for command in (("show", out, "s000004_p01"), ("rerender", out, "s000004_p01"), ("sheet", out)):
+        assert failure(*command).endswith(f"`synthgen verify {out}` lists what is damaged")
+    assert "synthgen verify" in failure("export", out)
+    assert not out.with_name("out-nerfstudio").exists()
+    (out / "manifest" / "multiview.parquet").write_bytes(b"PAR1 and no more")
+    for command in (("show", out, "s000004_p01"), ("query", out, "SELECT 1"), ("export", out)):
+        assert "manifest cannot be read" in failure(*command)
+
+
+def test_a_folder_whose_name_is_no_text_is_one_line(failure: Callable[..., str]) -> None:
+    for command in ("status", "verify", "sheet", "export"):
+        assert "the path is no UTF-8 text; rename the folder" in failure(command, "x\udcff")
+
+
+def test_a_limited_run_counts_what_it_renders(
+    synthgen: Synthgen, job: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(console, "FIRST_LINE", 0.0)
+    render = ("render", job, "--out", job.with_name("data"), "--workers", "1", *FAKE)
+    assert "rendering: 0 of 4 frames" in synthgen(*render, "--limit", "1").stderr
+    assert "rendering: 0 of 8 frames" in synthgen(*render, "--limit", "2").stderr
+    assert "rendering: 12 of 15 frames" in synthgen(*render).stderr

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import logging
+import os
 import re
 import subprocess
 import sys
@@ -12,6 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
 
+import duckdb
 import pytest
 import typer
 from answer import Answer
@@ -41,7 +43,7 @@ def distribution(module: str) -> str:
     return DISTRIBUTIONS.get(module, module).lower().replace("_", "-")
 
 
-def raising(error: Exception) -> Callable[[], None]:
+def raising(error: BaseException) -> Callable[[], None]:
     def app(standalone_mode: bool) -> None:
         raise error
 
@@ -54,6 +56,16 @@ def raising(error: Exception) -> Callable[[], None]:
         (UserError("job.toml: seed = x:\n give a [whole] number"), "give a [whole] number"),
         (FileNotFoundError(errno.ENOENT, "No such file", "a/b"), "error: a/b: No such file"),
         (OSError("a stream"), "error: a stream"),
+        (MemoryError("asked for 5 GB"), "not enough memory (asked for 5 GB); close other"),
+        (RecursionError("too deep"), "nested too deeply (too deep); flatten it"),
+        (PermissionError(errno.EACCES, "denied", "x"), "x: denied; change its rights"),
+        (OSError(errno.ENOSPC, "full", "x"), "x: full; make room, or give another place"),
+        (IsADirectoryError(errno.EISDIR, "folder", "x"), "x: folder; give a file"),
+        (NotADirectoryError(errno.ENOTDIR, "no folder", "x"), "x: no folder; give a folder"),
+        (ValueError("embedded null byte"), "a path holds a null byte"),
+        (RuntimeError("Symlink loop from 'x'"), "Symlink loop from 'x'; mend the links"),
+        (UnicodeEncodeError("utf-8", "a\udcff", 1, 2, "no"), '"a\\udcff": is no text in utf-8'),
+        (duckdb.IOException("no magic bytes in x"), "no magic bytes in x; `synthgen verify DIR`"),
         (ModuleNotFoundError(name="torch"), "pip install 'totalediting[model]'"),
         (ModuleNotFoundError(name="lightning_fabric.x"), "pip install 'totalediting[train]'"),
     ],
@@ -61,6 +73,44 @@ def raising(error: Exception) -> Callable[[], None]:
 def test_what_a_user_can_mend_is_one_line(run_main: Callable, error: Exception, line: str):
     answer: Answer = run_main(raising(error))
     assert line in answer.error
+
+
+@pytest.mark.parametrize(
+    "error", [KeyboardInterrupt(), RuntimeError("Query interrupted"), typer.Abort()]
+)
+def test_ctrl_c_is_one_word_wherever_it_comes_from(run_main: Callable, error: Exception):
+    answer: Answer = run_main(raising(error))
+    assert (answer.returncode, answer.stderr) == (130, "interrupted\n")
+
+
+@pytest.mark.parametrize(
+    "command", ["synthgen jobs", "synthgen --help", "totalediting --help", "synthgen plan demo"]
+)
+def test_nobody_reads_any_more_and_nothing_is_said(command: str):
+    # stdout is a pipe whose other end is closed, as `| head -1` leaves it.
+    ours, theirs = os.pipe()
+    os.close(ours)
+    words = command.split()
+    done = subprocess.run(
+        [sys.executable, "-c", f"from {words[0]}.cli import main; main()", *words[1:]],
+        stdout=theirs,
+        stderr=subprocess.PIPE,
+        check=False,
+    )
+    os.close(theirs)
+    assert (done.returncode, done.stderr) == (141, b"")
+
+
+@pytest.mark.parametrize("redirection", [">&-", "> /dev/full"])
+def test_an_answer_that_cannot_be_written_is_no_traceback(redirection: str):
+    code = "from synthgen.cli import main; main()"
+    command = f"{sys.executable} -c '{code}' jobs {redirection}"
+    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
+    if redirection == ">&-":
+        assert (done.returncode, done.stderr) == (0, "")
+    else:
+        assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+        assert "No space left on device; make room" in done.stderr
 
 
 @pytest.mark.parametrize("error", [ValueError("ours"), ModuleNotFoundError(name="typo")])

@@ -15,6 +15,7 @@ import datasets.config
 import fake_renderer
 import numpy as np
 import pytest
+from PIL import Image
 from webdataset import WebDataset  # pyright: ignore[reportAttributeAccessIssue]
 
 from synthgen.dataset import manifest, open_dataset
@@ -231,9 +232,32 @@ def test_export_to_nerfstudio(out: Path, tmp_path: Path):
         export.nerfstudio(out, tmp_path / "nerf")
 
 
-def test_pictures(out: Path, tmp_path: Path):
-    from PIL import Image
+def test_exported_depth_unprojects_as_nerfstudio_reads_it(out: Path, tmp_path: Path):
+    target = export.nerfstudio(out, tmp_path / "nerf")
+    dataset = open_dataset(out, subset="multiview")
+    shot = dataset[0]
+    folder = target / "multiview" / shot.key.split("_")[0] / shot.meta["environments"][0]["id"]
+    transforms = json.loads((folder / "transforms.json").read_text())
+    assert "depth_unit_scale_factor" not in transforms  # its parser reads none
+    frame = next(f for f in transforms["frames"] if shot.key in f["file_path"])
+    with Image.open(folder / frame["depth_file_path"]) as image:
+        assert image.mode.startswith("I;16")
+        depth = np.asarray(image).astype(float) * 1e-3  # the default of nerfstudio's parser
+    with Image.open(folder / frame["mask_path"]) as image:
+        mask = np.asarray(image)
+    assert set(np.unique(mask)) == {0, 255}
+    # Pixel centres at +0.5, the camera looks along -z: planar depth.
+    rows, columns = np.nonzero(mask)
+    z = depth[rows, columns]
+    x = (columns + 0.5 - frame["cx"]) / frame["fl_x"] * z
+    y = -(rows + 0.5 - frame["cy"]) / frame["fl_y"] * z
+    to_world = np.array(frame["transform_matrix"])
+    points = np.stack([x, y, -z], -1) @ to_world[:3, :3].T + to_world[:3, 3]
+    distance = np.linalg.norm(points - fake_renderer.CENTRE, axis=-1)
+    assert np.abs(distance - fake_renderer.RADIUS).max() < 1e-3
 
+
+def test_pictures(out: Path, tmp_path: Path):
     shown = shot_sheet.show(out, "s000001_p01", tmp_path / "show.png", subset="video")
     drawn = sheet(out, tmp_path / "sheet.png")
     for path in (shown, drawn):
