@@ -64,8 +64,8 @@ def run(app: Callable[..., Any]) -> None:
         _end(line)
     except KeyboardInterrupt:
         code = INTERRUPTED
-    except SystemExit as error:
-        code = error.code
+    except SystemExit as error:  # Typer's help ends so with 1
+        code = NOBODY_READS if _nobody_reads(unknown=False) else error.code
     if code == INTERRUPTED:
         _say("interrupted")
     _exit(code if isinstance(code, int) else 0)
@@ -104,14 +104,14 @@ def _user_line(error: Exception) -> str | None:
     return None
 
 
-def _nobody_reads() -> bool:
-    """Whether the other end of stdout is closed."""
+def _nobody_reads(unknown: bool = True) -> bool:
+    """Whether the other end of stdout is closed; `unknown` where stdout is no file."""
     try:
         ends = select.poll()
         ends.register(sys.stdout.fileno(), 0)
         return any(event & select.POLLERR for _, event in ends.poll(0))
     except (OSError, ValueError, AttributeError):  # no file, or no poll on this system
-        return True
+        return unknown
 
 
 def _is_interrupt(error: Exception) -> bool:

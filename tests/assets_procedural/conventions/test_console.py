@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 
 import pytest
+from rich.table import Table
 
 from assets_procedural.conventions import console
 
@@ -60,4 +61,17 @@ def test_one_is_no_plural(number: int, words: tuple[str, ...], said: str):
 
 
 def test_a_terminal_obeys_no_data():
-    assert console.printable("a\x1b[2J\x9b\rb") == "a\\x1b[2J\\x9b\\rb"
+    assert console.printable("a\x1b[2J\x9b\rb") == "a\\x1b[2J\\x9b\\x0db"
+    assert console.printable("a\u202eb\x9b\ud800\n") == "a\\u202eb\\x9b\\ud800\n"
+
+
+def test_a_console_takes_every_string_for_text(capsys: pytest.CaptureFixture[str]) -> None:
+    words = "[/x][bold red]:smile:\x1b[2J\u202e"
+    shown = "[/x][bold red]:smile:\\x1b[2J\\u202e"
+    table = Table(words, title=words, box=None)
+    table.add_row(words)
+    for thing in (words, table):
+        console.stdout().print(thing)
+    console.say(words)
+    printed = capsys.readouterr().out
+    assert printed.count(shown) == 5 and "\x1b" not in printed

@@ -15,7 +15,7 @@ import pytest
 from synthgen.dataset import ledger, manifest, open_dataset
 from synthgen.dataset.codecs import decode_npz, decode_png, encode_npz, encode_png
 from synthgen.dataset.columns import misfits
-from synthgen.dataset.folder import DatasetFolder
+from synthgen.dataset.folder import DatasetFolder, StorageError
 from synthgen.farm import commit
 from synthgen.farm.local import render_job
 from synthgen.publish import publish
