@@ -61,8 +61,7 @@ def test_one_is_no_plural(number: int, words: tuple[str, ...], said: str):
 
 
 def test_a_terminal_obeys_no_data():
-    assert console.printable("a\x1b[2J\x9b\rb") == "a\\x1b[2J\\x9b\\x0db"
-    assert console.printable("a\u202eb\x9b\ud800\n") == "a\\u202eb\\x9b\\ud800\n"
+    assert console.printable("a\x1b[2J\x9b\rb") == "a\\x1b[2J\\x9b\\rb"
 
 
 def test_a_console_takes_every_string_for_text(capsys: pytest.CaptureFixture[str]) -> None:
