@@ -168,6 +168,9 @@ def _read(folder: Folder, sandbox: Sandbox, in_memory: bool) -> Snapshot:
         empty = ", ".join(f"NULL::{kind} AS {quoted(n)}" for n, kind in described.items())
         sources.append(f"SELECT {empty} LIMIT 0")
     source = f"({' UNION ALL BY NAME '.join(sources)})"
+    ((rows,),) = run(f"SELECT count(*) FROM {source}").fetchall()
+    if rows > manifest.MOST_SHOTS:
+        raise Refused(f"lists {rows:,} shots; at most {manifest.MOST_SHOTS:,} are read")
     described = run(f"DESCRIBE SELECT * FROM {source}").fetchall()
     kept = [n for n, *_ in described if n not in LEFT_OUT | {"failed", "reason"}]
     names = ", ".join(quoted(n) for n in kept)
