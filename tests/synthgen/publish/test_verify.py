@@ -162,7 +162,10 @@ DAMAGE: dict[str, tuple[Callable[[Path], object], str]] = {
         lambda o: rewrite(o, without("alpha.png"), seal=True),
         "alpha.png is missing",
     ),
-    "missing picture": (lambda o: rewrite(o, without("rgb_01.png"), seal=True), "1 pictures of 2 environments"),
+    "missing picture": (
+        lambda o: rewrite(o, without("rgb_01.png"), seal=True),
+        "1 pictures of 2 environments",
+    ),
     "empty tar": (lambda o: (o / TAR).write_bytes(b""), "0 bytes instead of"),
     "other person": (
         lambda o: rewrite(o, change_shot(other_person), seal=True),
