@@ -884,7 +884,7 @@ def try_datasets(
                 found.append(f"sends the terminal {sorted(obeyed)}")
             if outcome.megabytes > HELD:
                 found.append(f"holds {outcome.megabytes:.0f} MB")
-            findings += [f"{name}: {what}: {each}" for each in found]
+            findings += found
             for each in found:
                 print(f"{name}: {what}: {each}".encode("unicode_escape").decode(), flush=True)
         shutil.rmtree(place.root)
@@ -1044,7 +1044,7 @@ def try_conditions(base: Path, work: Path, limit: float) -> tuple[list[str], int
                     found.append(f"holds {outcome.megabytes:.0f} MB")
                 if outcome.raised:
                     found.append(f"traceback: {outcome.raised[:200]}")
-            findings += [f"where {where[:60]}: {what}: {each}" for each in found]
+            findings += found
             for each in found:
                 print(f"where {where[:60]}: {what}: {each}".encode("unicode_escape").decode())
     print(f"latest: {beyond[0]:+.1f} s, {beyond[1]}; largest: {largest[0]:.0f} MB, {largest[1]}")
@@ -1116,8 +1116,7 @@ SORTS = (
 
 def counts(findings: list[str]) -> list[int]:
     """Findings by sort."""
-    last = [finding.split(": ", 2)[-1] for finding in findings]
-    return [sum(f.startswith(starts) for f in last) for _, starts in SORTS]
+    return [sum(f.startswith(starts) for f in findings) for _, starts in SORTS]
 
 
 if __name__ == "__main__":

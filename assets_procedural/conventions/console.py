@@ -149,12 +149,7 @@ def printable(text: str) -> str:
 
     So are the marks that turn the direction of writing, and half characters.
     """
-
-    def escaped(found: re.Match[str]) -> str:
-        code = ord(found[0])
-        return f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}"
-
-    return _CONTROL.sub(escaped, text)
+    return _CONTROL.sub(lambda found: ascii(found[0])[1:-1], text)
 
 
 def count(number: int, what: str, several: str = "") -> str:

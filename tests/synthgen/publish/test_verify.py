@@ -162,7 +162,10 @@ DAMAGE: dict[str, tuple[Callable[[Path], object], str]] = {
         lambda o: rewrite(o, without("alpha.png"), seal=True),
         "alpha.png is missing",
     ),
-    "missing picture": (lambda o: rewrite(o, without("rgb_01.png"), seal=True), "rgb is uint8"),
+    "missing picture": (
+        lambda o: rewrite(o, without("rgb_01.png"), seal=True),
+        "1 pictures of 2 environments",
+    ),
     "empty tar": (lambda o: (o / TAR).write_bytes(b""), "0 bytes instead of"),
     "other person": (
         lambda o: rewrite(o, change_shot(other_person), seal=True),
@@ -241,11 +244,11 @@ DAMAGE: dict[str, tuple[Callable[[Path], object], str]] = {
     ),
     "no pose of the camera": (
         without_meta("camera", "camera_to_world"),
-        f"{TAR}: s000000_p00: cannot be checked (KeyError: 'camera_to_world')",
+        f"{TAR}: s000000_p00: meta.json does not decode: camera.camera_to_world: Field required",
     ),
     "no seeds": (without_meta("seeds"), "seeds in meta.json is not what the job plans"),
-    "no expression": (without_meta("expression"), "cannot be checked (KeyError: 'expression')"),
-    "no exposures": (without_meta("exposures"), "meta has 0 exposures for 2"),
+    "no expression": (without_meta("expression"), "meta.json does not decode: expression: Field"),
+    "no exposures": (without_meta("exposures"), "meta.json does not decode: exposures: Field"),
     "record without subjects": (
         record_without("subjects"),
         f"{TAR}: cannot be checked (StorageError: ledger/multiview/train-000000.json: unusable: "
