@@ -19,14 +19,13 @@ from typing import Any
 import fake_renderer
 import numpy as np
 import pytest
-from rich.progress import Progress
 
-from assets_procedural.conventions import panorama_files
+from assets_procedural.conventions import console, panorama_files
 from assets_procedural.conventions.files import sha256
 from synthgen.dataset import ledger, manifest
 from synthgen.dataset.folder import DatasetFolder, StorageError
 from synthgen.dataset.records import read_description
-from synthgen.farm import local, progress, run, worker
+from synthgen.farm import local, run, worker
 from synthgen.farm.local import render_job
 from synthgen.farm.rerender import rerender
 from synthgen.planning.plan import subject_key
@@ -77,8 +76,10 @@ def test_a_finished_dataset_is_tidy_and_true(whole: Path):
 def test_a_log_gets_lines_of_progress(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
-    render(tmp_path / "quick", job=ONE)  # within a minute there is nothing to say
-    monkeypatch.setattr(progress, "_LINE_EVERY", 0.0)
+    monkeypatch.setattr(console, "FIRST_LINE", 60.0)
+    render(tmp_path / "quick", job=ONE)  # short work says nothing
+    for name in ("FIRST_LINE", "LINE_EVERY"):
+        monkeypatch.setattr(console, name, 0.0)
     assert capsys.readouterr().err == ""
     render(tmp_path / "out", job=ONE)
     lines = capsys.readouterr().err.splitlines()
@@ -452,15 +453,15 @@ def test_another_panorama_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyP
         panorama_files.write(mine / f"{name}.exr", np.full((8, 16, 3), 0.5), {})
     job = fake_renderer.small_job(environments={"bundled": [], "folder": mine})
     shown: list[str] = []
-    track = Progress.track
+    track = console.track
 
-    def noted(bar: Progress, items: Any, **options: Any) -> Any:
-        if "panoramas" in options["description"]:
+    def noted(items: Any, what: str, total: int | None = None) -> Any:
+        if "panoramas" in what:
             items = list(items)
             shown.extend(spec.id for spec in items)
-        return track(bar, items, **options)
+        return track(items, what, total)
 
-    monkeypatch.setattr(Progress, "track", noted)
+    monkeypatch.setattr(console, "track", noted)
     render(out, job=job, limit=1)
     assert shown == ["user_a", "user_b", "user_c", "user_d"]
     entries = read_description(out).environments

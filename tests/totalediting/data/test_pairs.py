@@ -360,11 +360,11 @@ def test_a_damaged_shot_is_skipped_counted_and_named(
     assert len(keys) == 3 * len(broken) and key not in keys
     assert set(keys) == set(broken.keys) - {key}
     assert list(broken.skipped) == [key]
-    assert broken.skipped[key].startswith("parts.png does not decode")
+    assert "parts.png does not decode" in broken.skipped[key]
     if not workers:
-        assert [r.getMessage().startswith(f"skipped {key}: parts.png") for r in caplog.records] == [
-            True
-        ]
+        (record,) = caplog.records
+        assert record.getMessage().startswith(f"skipped {key}: ")
+        assert "parts.png" in record.getMessage()
     # What is not near the damage is as it was.
     before = [pairs[n].key for n in range(len(pairs))]
     assert [(k, b) for k, b in zip(keys, before, strict=False) if k != b and b != key] == []
