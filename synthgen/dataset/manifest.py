@@ -115,7 +115,7 @@ def read_rows(path: Path, shard: str | None = None) -> list[dict[str, Any]]:
     """The rows of a Parquet file, or those of one shard, as dictionaries."""
     where, values = ("", []) if shard is None else (" WHERE shard = ?", [shard])
     with database.locked([path]) as connection:
-        result = connection.execute(f"SELECT * FROM {_parquet_source([path])}{where}", values)
+        result = connection.execute(f"SELECT * FROM {parquet_source([path])}{where}", values)
         names = [column[0] for column in result.description or ()]
         return [dict(zip(names, values, strict=True)) for values in result.fetchall()]
 

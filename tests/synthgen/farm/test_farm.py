@@ -83,6 +83,8 @@ def test_a_log_gets_lines_of_progress(
     assert capsys.readouterr().err == ""
     render(tmp_path / "out", job=ONE)
     lines = capsys.readouterr().err.splitlines()
+    assert any(line.startswith("storing panoramas: ") for line in lines)
+    lines = [line for line in lines if line.startswith("rendering: ")]
     begun = "rendering: 0 of 20 frames, "
     assert lines[0] in (begun + "starting workers", begun + "first subjects")
     assert re.fullmatch(r"rendering: \d+ of 20 frames, [\d.]+ frames/s, \d+ s left", lines[-1])
