@@ -9,7 +9,7 @@ import typer
 
 import synthgen
 from assets_procedural.conventions import console
-from assets_procedural.conventions.command_line import print_version, run
+from assets_procedural.conventions.command_line import add_version, run
 from synthgen import farm
 from synthgen.farm import DEFAULT_RENDERER
 
@@ -46,19 +46,7 @@ def main() -> None:
     run(app)
 
 
-@app.callback()
-def program(
-    version: Annotated[
-        bool,
-        typer.Option(
-            "--version",
-            help="Print the version and exit.",
-            is_eager=True,
-            callback=print_version(f"synthgen {synthgen.__version__}"),
-        ),
-    ] = False,
-) -> None:
-    """Options of the program itself; its help is that of `app`."""
+add_version(app, f"synthgen {synthgen.__version__}")
 
 
 @app.command()
@@ -285,12 +273,11 @@ def verify(
         preflight.check_device(device)
         summary = mend(out, workers, threads, device, renderer)
         show([f"repaired: {line}" for line in summary.mended])
-        count = f"{summary.rendered} subject{'' if summary.rendered == 1 else 's'}"
-        screen.print(f"{count} rendered again; checking")
+        screen.print(f"{console.count(summary.rendered, 'subject')} rendered again; checking")
         problems = check(out)
         show(problems)
     if problems:
-        screen.print(f"{len(problems)} problem{'s' if len(problems) > 1 else ''} in {out}")
+        screen.print(f"{console.count(len(problems), 'problem')} in {out}")
         raise typer.Exit(1)
     screen.print(f"{out}: all checks passed")
 

@@ -11,7 +11,7 @@ import typer
 
 import totalediting
 from assets_procedural.conventions import console
-from assets_procedural.conventions.command_line import print_version, run
+from assets_procedural.conventions.command_line import add_version, run
 from totalediting.errors import InputError
 from totalediting.presets import PRESETS, preset_with
 from totalediting.training.stages import STAGES
@@ -40,19 +40,7 @@ def main() -> None:
     run(app)
 
 
-@app.callback()
-def program(
-    version: Annotated[
-        bool,
-        typer.Option(
-            "--version",
-            help="Print the version and exit.",
-            is_eager=True,
-            callback=print_version(f"totalediting {totalediting.__version__}"),
-        ),
-    ] = False,
-) -> None:
-    """Options of the program itself; its help is that of `app`."""
+add_version(app, f"totalediting {totalediting.__version__}")
 
 
 @app.command()

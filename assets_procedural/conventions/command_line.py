@@ -13,7 +13,7 @@ import sys
 from collections.abc import Callable
 from typing import Any, NoReturn
 
-from typer import Abort, BadParameter
+from typer import Abort, BadParameter, Option, Typer
 
 from assets_procedural.conventions import console
 from assets_procedural.conventions.errors import UserError, one_line, remedy
@@ -160,15 +160,20 @@ def _missing(module: str, extra: str) -> str:
     return f"this needs {module}, which is not installed: pip install 'totalediting[{extra}]'"
 
 
-def print_version(line: str) -> Callable[[bool], None]:
-    """What an option --version does once it is given."""
+def add_version(app: Typer, line: str) -> None:
+    """Give a command line the option --version, which prints `line`."""
 
-    def answer(given: bool) -> None:
+    def show(given: bool) -> None:
         if given:
             print(line)
             raise SystemExit(0)
 
-    return answer
+    help_ = "Print the version and exit."
+    option = Option(False, "--version", help=help_, is_eager=True, callback=show)
+
+    @app.callback()
+    def program(version: bool = option) -> None:
+        """Options of the program itself; its help is that of `app`."""
 
 
 def set_up_logging() -> None:

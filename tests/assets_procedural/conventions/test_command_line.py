@@ -19,7 +19,7 @@ import typer
 from answer import Answer
 
 from assets_procedural.conventions import command_line
-from assets_procedural.conventions.command_line import EXTRAS, print_version, run
+from assets_procedural.conventions.command_line import EXTRAS, add_version, run
 from assets_procedural.conventions.errors import UserError, one_line
 
 PROJECT = tomllib.loads((Path(__file__).parents[3] / "pyproject.toml").read_text())["project"]
@@ -198,12 +198,13 @@ def test_a_command_ends_as_it_says(run_main: Callable, words: str, code: int, li
     assert (answer.returncode, answer.stderr) == (code, line)
 
 
-def test_the_version_is_printed_only_where_it_is_asked_for(capsys: pytest.CaptureFixture[str]):
-    print_version("synthgen 1.2")(False)
-    assert capsys.readouterr().out == ""
-    with pytest.raises(SystemExit) as end:
-        print_version("synthgen 1.2")(True)
-    assert (end.value.code, capsys.readouterr().out) == (0, "synthgen 1.2\n")
+def test_the_version_is_printed_only_where_it_is_asked_for(run_main: Callable):
+    app = toy()
+    add_version(app, "synthgen 1.2")
+    answer: Answer = run_main(lambda: run(app), "render", "x")
+    assert (answer.returncode, answer.stdout) == (0, "")
+    answer = run_main(lambda: run(app), "--version")
+    assert (answer.returncode, answer.stdout) == (0, "synthgen 1.2\n")
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,8 @@ import numpy as np
 import OpenEXR
 import pytest
 
-from assets_procedural.conventions.panorama_reading import REC709, PanoramaError, read, to_rec709
+from assets_procedural.conventions.panorama_reading import PanoramaError, read
+from assets_procedural.conventions.primaries import REC709, to_rec709
 
 HEIGHT, WIDTH = 16, 32
 ACES = (0.713, 0.293, 0.165, 0.830, 0.128, 0.044, 0.32168, 0.33767)
