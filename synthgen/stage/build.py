@@ -18,7 +18,7 @@ from assets_procedural.body.skin import skin_fields
 from assets_procedural.mesh.subdivision import Subdivision, catmull_clark
 from assets_procedural.outfit import tops
 from assets_procedural.person import Person
-from synthgen.stage import materials
+from synthgen.stage import materials, skin_material
 from synthgen.stage.hair_colour import strand_colours
 
 
@@ -62,7 +62,7 @@ def _build_skin(person: Person, identity: Identity) -> tuple[Subdivision, bpy.ty
     part = np.repeat(regions.part_labels(model)[shown], 4)
     uv = subdivision.corner_values(model.uv["skin"][shown])
     mesh = _mesh("skin", subdivision.matrix @ identity.rest, subdivision.faces, uv, vertex, part)
-    mesh.materials.append(materials.skin(person.skin))
+    mesh.materials.append(skin_material.skin(person.skin))
     return subdivision, _link(mesh)
 
 

@@ -129,7 +129,7 @@ def workshop(tmp_path_factory: pytest.TempPathFactory) -> Path:
     element = textwrap.indent(entry.rstrip(), " " * 4) + ",\n"
     path.write_text("".join([*lines[: end - 1], element, *lines[end - 1 :]]))
 
-    path = folder / "synthgen" / "stage" / "materials.py"
+    path = folder / "synthgen" / "stage" / "shading.py"
     text, count = re.subn(
         r'( +)\("texture", .*\n', rf"\g<0>\1{socket.rstrip()},\n", path.read_text()
     )
