@@ -26,7 +26,13 @@ from typing import Any
 
 import numpy as np
 import report
-from detectors import FaceLandmarker, Frame, head_angles
+from detectors import (
+    MEDIAPIPE_70,
+    MEDIAPIPE_LOWER_BROWS,
+    FaceLandmarker,
+    Frame,
+    head_angles,
+)
 
 from assets_procedural.motion.poses import PoseSettings, sample_pose
 from synthgen.dataset import open_dataset
@@ -210,18 +216,24 @@ def skin(lab: np.ndarray, between: float) -> dict[str, float]:
     }
 
 
-def brows(landmarks: np.ndarray) -> tuple[float, float]:
-    """(slope, height) of the brows in distances of the outer eye corners, from (70, 2) landmarks.
+def brow_slope(mesh: np.ndarray) -> float:
+    """How far a brow's inner end lies above its middle, both on its upper contour: negative is a
+    frown. From MediaPipe's mesh (478, 2), in distances of the outer corners of the eyes."""
+    upper = MEDIAPIPE_70[17:27]
+    return float((_heights(mesh, upper[[4, 5]]) - _heights(mesh, upper[[2, 7]])).mean())
 
-    The slope is how far the inner end lies above the brow's middle (negative: a frown); the height
-    is that of the brow's middle above the upper lid.
-    """
-    across = landmarks[45] - landmarks[36]
-    span = np.linalg.norm(across)
-    up = np.array([across[1], -across[0]]) / span**2
-    inner = (landmarks[[21, 22]] - landmarks[[19, 24]]) @ up
-    lid = landmarks[[37, 38, 43, 44]].reshape(2, 2, 2).mean(1)
-    return float(inner.mean()), float(((landmarks[[19, 24]] - lid) @ up).mean())
+
+def brow_to_lid(mesh: np.ndarray) -> float:
+    """Height of the middle of the brows above the upper lids, in the same unit."""
+    brows = [MEDIAPIPE_70[[19, 24]], MEDIAPIPE_LOWER_BROWS[[2, 7]]]
+    brow = np.mean([_heights(mesh, points).mean() for points in brows])
+    return float(brow - _heights(mesh, MEDIAPIPE_70[[37, 38, 43, 44]]).mean())
+
+
+def _heights(mesh: np.ndarray, points: np.ndarray) -> np.ndarray:
+    right, left = mesh[MEDIAPIPE_70[[36, 45]]]
+    across = left - right
+    return (mesh[points] - right) @ np.array([across[1], -across[0]]) / (across @ across)
 
 
 def reads_negative(expression: dict[str, float]) -> bool:
@@ -265,8 +277,9 @@ def measure_portraits(
     values["pictures with over 10 % clipped pixels"] = float(np.mean(clipped))
     readings = [landmarker.read(frame) for frame in _progress(frames, "MediaPipe")]
     values["found by MediaPipe"] = float(np.mean([r is not None for r in readings]))
-    shapes = np.array([brows(r.landmarks) for r in readings if r is not None])
-    values["brow slope"], values["brow to lid"] = (float(v) for v in np.median(shapes, axis=0))
+    meshes = [reading.mesh for reading in readings if reading is not None]
+    values["brow slope"] = float(np.median([brow_slope(mesh) for mesh in meshes]))
+    values["brow to lid"] = float(np.median([brow_to_lid(mesh) for mesh in meshes]))
     rng = np.random.default_rng(0)
     poses = [sample_pose(rng, PoseSettings()) for _ in range(POSES)]
     negative = np.mean([reads_negative(pose.expression) for pose in poses])

@@ -20,14 +20,17 @@ def test_skin_is_flat_or_as_rough_as_its_noise(realism: ModuleType) -> None:
 
 
 def test_a_frown_slopes_down_and_height_is_above_the_lid(realism: ModuleType) -> None:
-    points = np.zeros((70, 2))
-    points[36], points[45] = (0, 100), (100, 100)
-    points[[37, 38, 43, 44]] = ((20, 98), (30, 98), (70, 98), (80, 98))
-    points[[19, 24]], points[[21, 22]] = ((20, 78), (80, 78)), ((40, 81), (60, 81))
-    assert realism.brows(points) == (pytest.approx(-0.03), pytest.approx(0.20))
+    mesh = np.zeros((478, 2))
+    upper, lower = realism.MEDIAPIPE_70[17:27], realism.MEDIAPIPE_LOWER_BROWS
+    mesh[realism.MEDIAPIPE_70[[36, 45]]] = (0, 100), (100, 100)
+    mesh[realism.MEDIAPIPE_70[[37, 38, 43, 44]]] = (20, 98), (30, 98), (70, 98), (80, 98)
+    mesh[upper[[2, 7]]], mesh[lower[[2, 7]]] = ((20, 76), (80, 76)), ((20, 80), (80, 80))
+    mesh[upper[[4, 5]]] = (40, 79), (60, 79)
     angle = np.radians(25)
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    assert realism.brows(points @ turn.T) == (pytest.approx(-0.03), pytest.approx(0.20))
+    for seen in (mesh, 3 * mesh @ turn.T + 7):
+        assert realism.brow_slope(seen) == pytest.approx(-0.03)
+        assert realism.brow_to_lid(seen) == pytest.approx(0.20)
 
 
 def test_identity_counts_pairs_once(realism: ModuleType) -> None:
