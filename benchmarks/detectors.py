@@ -71,7 +71,7 @@ class Frame:
 
 @dataclass
 class Reading:
-    """What MediaPipe saw: its mesh (478, 2) and landmarks (70, 2) in pixels, blendshapes, degrees."""
+    """What MediaPipe saw: mesh (478, 2), landmarks (70, 2), in pixels, blendshapes, degrees."""
 
     mesh: np.ndarray
     landmarks: np.ndarray
