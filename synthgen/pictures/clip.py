@@ -6,6 +6,7 @@ from pathlib import Path
 
 from PIL import Image
 
+from assets_procedural.conventions import console
 from assets_procedural.conventions.files import replacing
 from synthgen.dataset.folder import Place, StorageError
 from synthgen.dataset.reading import open_dataset
@@ -27,7 +28,7 @@ def clip(
         reason = "is in several subsets; write SUBSET/SUBJECT" if found else "is no subject of it"
         raise StorageError(f"{out}: {subject} {reason}")
     frames: list[Image.Image] = []
-    for position in next(iter(found.values())):
+    for position in console.track(next(iter(found.values())), "reading frames"):
         pictures = dataset[position].rgb
         if environment >= len(pictures):
             raise StorageError(

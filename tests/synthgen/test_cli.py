@@ -310,6 +310,36 @@ def test_a_clip_of_nothing_is_one_line(failure: Callable[..., str], out: Path) -
     assert "not 7" in failure("clip", out, "video/s000001", "--environment", "7")
 
 
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("sheet",), ("drawing the sheet: ",)),
+        (("sheet", "--portraits"), ("drawing portraits: ",)),
+        (("export",), ("exporting: ",)),
+        (
+            ("verify",),
+            tuple(
+                f"verifying {what}: "
+                for what in ("panoramas and manifests", "hashes", "manifests", "shards")
+            ),
+        ),
+    ],
+)
+def test_long_work_says_from_its_start_how_far_it_is(
+    synthgen: Synthgen,
+    out: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    arguments: tuple[str, ...],
+    said: tuple[str, ...],
+) -> None:
+    monkeypatch.setattr(console, "FIRST_LINE", 0.0)
+    command, *options = arguments
+    result = synthgen(command, out, *options)
+    assert result.returncode == 0
+    for line in said:
+        assert line in result.stderr
+
+
 KEYS = [
     (("s000004_p01",), "multiview/s000004_p01"),
     (("video/s000001_p00",), "video/s000001_p00"),
