@@ -25,6 +25,17 @@ class Skin(Parameters):
     seed: int = 0
 
 
+class Makeup(Parameters):
+    """Strengths in [0, 1] of what is painted on; the colours are linear Rec.709."""
+
+    lipstick: float = 0.0
+    lip_colour: Colour = (0.35, 0.03, 0.04)
+    eyeshadow: float = 0.0
+    lid_colour: Colour = (0.12, 0.07, 0.05)
+    blush: float = 0.0
+    liner: float = 0.0
+
+
 class Eyes(Parameters):
     """`iris` is linear Rec.709; `pupil_mm` the pupil's diameter."""
 
@@ -107,6 +118,7 @@ class Person(Parameters):
     shape: dict[str, float] = Field(default_factory=dict)
     asymmetry: dict[str, float] = Field(default_factory=dict)
     skin: Skin = Skin()
+    makeup: Makeup = Makeup()
     eyes: Eyes = Eyes()
     hair: Hair = Hair()
     brows: Brows = Brows()

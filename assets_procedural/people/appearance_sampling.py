@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from assets_procedural.hair.styles import STYLES
-from assets_procedural.person import ADULT, Beard, Brows, Colour, Eyes, Hair, Skin
+from assets_procedural.person import ADULT, Beard, Brows, Colour, Eyes, Hair, Makeup, Skin
 
 if TYPE_CHECKING:
     HairStyle = str
@@ -67,6 +67,35 @@ def draw_skin(rng: np.random.Generator, age: float, male: bool, ancestry: Ancest
         wrinkles=clipped(lines * rng.uniform(0.75, 1.15) + 0.03),
         oiliness=clipped(rng.beta(2.5, 3.0) * (1.1 if male else 0.95) * (1.15 - age / 200.0)),
         seed=draw_seed(rng),
+    )
+
+
+# Linear Rec.709: reds, pinks, browns and nudes; shadows of the lids.
+_LIPSTICKS: tuple[Colour, ...] = (
+    (0.36, 0.022, 0.035), (0.27, 0.02, 0.045), (0.45, 0.09, 0.12), (0.50, 0.16, 0.16),
+    (0.30, 0.085, 0.065), (0.16, 0.018, 0.03), (0.42, 0.15, 0.11),
+)  # fmt: skip
+_LID_SHADOWS: tuple[Colour, ...] = (
+    (0.13, 0.075, 0.055), (0.06, 0.045, 0.045), (0.22, 0.11, 0.09), (0.10, 0.06, 0.09),
+    (0.07, 0.085, 0.11),
+)  # fmt: skip
+
+
+def draw_makeup(rng: np.random.Generator, age: float, male: bool) -> Makeup:
+    """Half of all women wear some, from a little blush to a full evening's; men none."""
+    wanted = rng.random() < 0.55 and not male and age >= ADULT - 2.0
+    fullness = rng.beta(1.2, 1.4)
+    lips, lids = (int(rng.integers(len(c))) for c in (_LIPSTICKS, _LID_SHADOWS))
+    share = rng.random(4)
+    if not wanted:
+        return Makeup()
+    return Makeup(
+        lipstick=clipped((0.35 + 0.6 * fullness) * (share[0] < 0.75)),
+        lip_colour=_LIPSTICKS[lips],
+        eyeshadow=clipped(0.75 * fullness * (share[1] < 0.6)),
+        lid_colour=_LID_SHADOWS[lids],
+        blush=clipped(0.2 + 0.6 * fullness * share[2]),
+        liner=clipped((0.3 + 0.7 * fullness) * (share[3] < 0.55)),
     )
 
 

@@ -15,6 +15,7 @@ from assets_procedural.people.appearance_sampling import (
     draw_brows,
     draw_eyes,
     draw_hair,
+    draw_makeup,
     draw_skin,
 )
 from assets_procedural.people.face_shape import draw_asymmetry, draw_shape
@@ -104,6 +105,7 @@ def sample_person(rng: np.random.Generator, settings: PeopleSettings) -> Person:
         glasses=draw_glasses(rng, age, settings.glasses, settings.sunglasses),
         earrings=draw_earrings(rng, age, male, settings.earrings),
         hat=hat,
+        makeup=draw_makeup(rng, age, male),
     )
 
 

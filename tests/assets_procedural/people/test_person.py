@@ -19,7 +19,7 @@ from assets_procedural.people.person_sampling import (
     phenotype_age,
     sample_person,
 )
-from assets_procedural.person import Person
+from assets_procedural.person import Makeup, Person
 
 POLES = ("african", "asian", "caucasian")
 
@@ -61,6 +61,7 @@ def test_all_values_are_in_range(crowd: list[Person]) -> None:
             *(person.hair.model_dump(exclude={"style", "parting", "seed"}).values()),
             person.eyes.limbus, person.eyes.redness, person.brows.thickness, person.brows.density,
             person.beard.density,
+            *(person.makeup.model_dump(exclude={"lip_colour", "lid_colour"}).values()),
         ]  # fmt: skip
         assert all(0.0 <= v <= 1.0 for v in unit)
         assert all(0.0 < c <= 1.0 for c in (*person.eyes.iris, *person.top.colour))
@@ -146,6 +147,14 @@ def test_age_shows(crowd: list[Person]) -> None:
     assert np.mean([p.skin.wrinkles for p in old]) > np.mean([p.skin.wrinkles for p in young]) + 0.4
     men = [p for p in old if is_male(p)]
     assert np.mean([p.hair.style == "bald" for p in men]) > 0.1
+
+
+def test_makeup_is_for_some_grown_women(crowd: list[Person]) -> None:
+    women = [p for p in crowd if not is_male(p)]
+    made_up = [p for p in women if p.makeup != Makeup()]
+    assert 0.35 * len(women) < len(made_up) < 0.75 * len(women)
+    assert all(p.makeup == Makeup() for p in crowd if is_male(p))
+    assert len({p.makeup.lip_colour for p in made_up}) > 4
 
 
 def test_beards_are_for_adult_men(crowd: list[Person]) -> None:
