@@ -3,7 +3,7 @@
     python benchmarks/torture_commands.py
 
 Every case must end with exit code 2 and exactly one line on stderr, that is no traceback and names
-what it is about, unless it says otherwise. Takes about a minute; renders with the tests' renderer
+what it is about, unless it says otherwise. Takes some minutes; renders with the tests' renderer
 into a temporary folder and leaves nothing behind. Exits with 1 if a case fails.
 """
 
@@ -366,7 +366,7 @@ def queries(place: Path) -> Iterator[Case]:
         "\udcff",
         "SELECT " + "(" * 500 + "1" + ")" * 499,
     ]
-    wrong += ["SELECT 1; SELECT"]
+    wrong += ["SELECT 1; SELECT", "SELECT repeat('x', 4000000000)"]
     for sql in wrong:
         yield Case("a query", ["synthgen", "query", str(place / "data"), sql])
 
