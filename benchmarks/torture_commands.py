@@ -505,8 +505,8 @@ def main() -> None:
         with heard() as chatter:
             for make in (fields, files, overrides, options, places, datasets, queries):
                 for tried in make(place):
-                    name = shlex.join(tried.words[:2]) + " …" + tried.words[-1][:80]
-                    note(tried.kind, name, held(tried))
+                    shown = shlex.join(tried.words[:2]) + " …" + tried.words[-1][:80]
+                    note(tried.kind, shown, held(tried))
         note("libraries", "what they print in all of these", chatter())
         for what, well in processes(place):
             note("a process", what, "" if well else "did not")
