@@ -9,7 +9,7 @@ import typer
 
 import synthgen
 from assets_procedural.conventions import console
-from assets_procedural.conventions.command_line import add_version, run
+from assets_procedural.conventions.command_line import add_version, limited_memory, run
 from synthgen import farm
 from synthgen.farm import DEFAULT_RENDERER
 
@@ -37,6 +37,7 @@ Device = Annotated[farm.Device, typer.Option(help="What Blender renders on.")]
 Threads = Annotated[int, typer.Option(min=1, help="Threads per worker.")]
 Subset = Annotated[str | None, typer.Option(help="The subset, if the key occurs in more than one.")]
 Renderer = Annotated[str, typer.Option(hidden=True)]
+_QUERY = 4 << 30  # bytes of a query: DuckDB's own limit does not count the values of functions
 _OR_HERE = ", in the current folder where that cannot be written."
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON, with the keys listed above.")]
 
@@ -386,11 +387,19 @@ def query(
         typer.Option("--unlocked", help="Let the query read and write other files and settings."),
     ] = False,
 ) -> None:
-    """Query the manifest in SQL (DuckDB)."""
+    """Query the manifest in SQL (DuckDB).
+
+    It takes at most 4 GB of memory, unless it is unlocked.
+    """
+    import contextlib
+
     from synthgen.dataset import manifest
     from synthgen.publish import answers
 
-    with manifest.answering(out, sql, unlocked) as answer:
+    with (
+        contextlib.nullcontext() if unlocked else limited_memory(_QUERY),
+        manifest.answering(out, sql, unlocked) as answer,
+    ):
         answers.write(answer, format_, output)
 
 

@@ -477,6 +477,16 @@ def test_what_is_no_query_is_one_line(
     assert failure("query", small_dataset, sql).startswith("error: query: ")
 
 
+@pytest.mark.parametrize("value", ["repeat('x', 4000000000)", "len(range(2000000000))"])
+def test_a_query_that_takes_too_much_memory_is_one_line(
+    failure: Callable[..., str], small_dataset: Path, value: str
+) -> None:
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    said = failure("query", small_dataset, f"SELECT {value} FROM manifest LIMIT 1")
+    assert "memory" in said.lower()
+    assert resource.getrlimit(resource.RLIMIT_AS) == before
+
+
 def test_pictures_go_where_they_can_be_written(
     synthgen: Synthgen, out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
