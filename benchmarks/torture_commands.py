@@ -507,7 +507,7 @@ def main() -> None:
                 for tried in make(place):
                     shown = shlex.join(tried.words[:2]) + " …" + tried.words[-1][:80]
                     note(tried.kind, shown, held(tried))
-        note("libraries", "what they print in all of these", chatter())
+            note("libraries", "what they print in all of these", chatter())
         for what, well in processes(place):
             note("a process", what, "" if well else "did not")
     total = [sum(column) for column in zip(*counts.values(), strict=True)]
