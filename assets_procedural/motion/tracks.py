@@ -82,9 +82,11 @@ def _gaze_track(
     starts = _event_times(rng, time[-1], 0.3, 1.8)
     at = np.maximum(np.searchsorted(time, starts, side="right") - 1, 0)
     attention = [draw_attention(rng, head[k]) for k in at]
-    at_lens = rng.random(len(starts)) < settings.gaze_at_camera
+    wish, wanted = rng.random(len(starts)), settings.gaze_at_camera
+    at_lens = np.zeros(len(starts), bool)
     if lens is not None:
-        at_lens &= [reaches(aim(lens, head[k]), bounds) for k in at]
+        able = np.array([reaches(aim(lens, head[k]), bounds) for k in at])
+        at_lens = able & (wish * max(able.mean(), wanted) < wanted)
     gaze = np.zeros((len(time), 2))
 
     def look(fixation: int, turn: np.ndarray) -> np.ndarray:
