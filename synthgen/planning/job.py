@@ -56,7 +56,8 @@ RESERVED = ("manifest", "failed", "runs", "logs", "locks")
 """No subset may be called so: a dataset has folders, and a table, of these names beside those of
 its subsets."""
 
-_HEAD_METRES = 0.25
+HEAD_METRES = 0.25
+"""A typical head, chin to crown."""
 _DISTANCE = (0.3, 30.0)
 _LANDMARK_REACH = 0.5 + LANDMARK_MARGIN
 
@@ -109,7 +110,7 @@ class CameraSettings(Settings):
     @staticmethod
     def _metres(focal_mm: float, fill: float) -> float:
         """Camera to a typical head, as `assets_procedural.conventions.camera.resolve` puts it."""
-        return focal_mm / SENSOR_MM * _HEAD_METRES / fill
+        return focal_mm / SENSOR_MM * HEAD_METRES / fill
 
 
 _HEX = re.compile(r"#[0-9a-fA-F]{6}")

@@ -15,15 +15,16 @@ from typing import Literal
 
 import numpy as np
 
-from assets_procedural.conventions.camera import CameraSample
+from assets_procedural.conventions.camera import CameraSample, resolve
 from assets_procedural.light.pool import pool
-from assets_procedural.motion.poses import Pose, sample_pose, sample_track
+from assets_procedural.motion.poses import Pose, sample_pose
+from assets_procedural.motion.tracks import sample_track
 from assets_procedural.people.person_sampling import sample_person
 from assets_procedural.person import Person
 from assets_procedural.settings import Parameters
 from synthgen.errors import JobError
 from synthgen.planning.camera_sampling import sample_camera
-from synthgen.planning.job import JobSpec, SubsetSpec
+from synthgen.planning.job import HEAD_METRES, JobSpec, SubsetSpec
 
 Split = Literal["train", "validation", "test"]
 SPLITS: tuple[Split, ...] = ("train", "validation", "test")
@@ -152,12 +153,13 @@ class Plan:
         if not 0 <= index < spec.subjects:
             raise IndexError(f"{subset} has subjects 0 to {spec.subjects - 1}, not {index}")
         key = subject_key(index)
+        cameras = self._cameras(subset, index, spec)
+        lens = resolve(cameras[0], np.zeros(3), HEAD_METRES, 1).position
         rng = self._rng(subset, index, Stream.POSE)
         if spec.kind == "multiview":
-            poses: tuple[Pose, ...] = (sample_pose(rng, self.job.poses),)
+            poses: tuple[Pose, ...] = (sample_pose(rng, self.job.poses, lens),)
         else:
-            poses = tuple(sample_track(rng, spec.shots, self.job.poses))
-        cameras = self._cameras(subset, index, spec)
+            poses = sample_track(rng, spec.shots, self.job.poses, lens)
         return SubjectPlan(
             subset=subset,
             kind=spec.kind,
