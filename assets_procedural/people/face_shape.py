@@ -11,6 +11,7 @@ from assets_procedural.people.plausibility import keep_plausible, within_norm
 from assets_procedural.people.shape_modes import (
     AVERAGE,
     CHILD,
+    FEMALE,
     OLD,
     OUTLINES,
     PARTS,
@@ -35,11 +36,11 @@ _OWN, _WHOLE, _PART, _REST, _REST_COUNT = 0.6, 0.85, 0.95, 0.6, 12
 
 
 def draw_shape(
-    rng: np.random.Generator, heritage: Heritage, age: float, strength: float
+    rng: np.random.Generator, heritage: Heritage, age: float, male: bool, strength: float
 ) -> dict[str, float]:
-    """Local changes in [-1, 1] for a head of the given ancestry and age in years.
+    """Local changes in [-1, 1] for a head of the given ancestry, age in years and sex.
 
-    `strength` scales the individual deviation, not the means of ancestry and age.
+    `strength` scales the individual deviation, not the means of these.
     """
     whole, parts, rest = directions()
     deviates = _OWN * np.clip(rng.standard_normal(len(NAMES)), -2.5, 2.5)
@@ -50,7 +51,7 @@ def draw_shape(
     # Children's faces differ less.
     strength *= float(np.interp(age, [3.0, 18.0], [0.65, 1.0]))
     deviates = keep_plausible(strength * deviates)
-    mean = _mean(heritage, age)
+    mean = _mean(heritage, age, male)
     unequal = strength * rng.normal(0.0, 0.12, len(NAMES))
     shape: dict[str, float] = {}
     for name, deviate, side in zip(NAMES, deviates, unequal, strict=True):
@@ -85,11 +86,14 @@ def _row(changes: dict[str, float]) -> np.ndarray:
     return row
 
 
-def _mean(heritage: Heritage, age: float) -> dict[str, float]:
+def _mean(heritage: Heritage, age: float, male: bool) -> dict[str, float]:
     total = dict(AVERAGE)
     old = float(np.clip((age - 40.0) / 45.0, 0.0, 1.1)) ** 1.3
     young = float(np.interp(age, [3.0, 14.0], [1.0, 0.0]))
-    for table, share in ((heritage.shape(), 1.0), (OLD, old), (CHILD, young)):
+    grown = float(np.interp(age, [8.0, 18.0], [0.2, 1.0]))
+    sex = -0.67 * grown if male else grown
+    shares = ((heritage.shape(), 1.0), (FEMALE, sex), (OLD, old), (CHILD, young))
+    for table, share in shares:
         for name, value in table.items():
             total[name] = total.get(name, 0.0) + share * value
     return total

