@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 else:  # the names are those of the catalogue
     HairStyle = Literal[tuple(STYLES)]
 
+BEARDS = ("none", "stubble", "moustache", "goatee", "full")
+"""The styles of `facial_hair`, which takes scipy to import."""
 HAIR_COLOURS = ("black", "brown", "blond", "red", "grey")
 
 # Linear Rec.709 reflectances of irises, dark to light.

@@ -13,8 +13,6 @@ from pathlib import Path
 
 import numpy as np
 
-from assets_procedural.body.head import HeadModel
-from assets_procedural.body.landmarks import landmarks
 from assets_procedural.people.shape_modes import SPREAD
 from assets_procedural.person import Person
 
@@ -64,6 +62,9 @@ def responses() -> tuple[np.ndarray, np.ndarray]:
 
 def table() -> dict[str, dict[str, list[float]]]:
     """The table, from the head model."""
+    from assets_procedural.body.head import HeadModel
+    from assets_procedural.body.landmarks import landmarks
+
     model = HeadModel.load()
     plain = measure(landmarks(model.identity(Person()).neutral))
     found = {}

@@ -6,11 +6,10 @@ from typing import Annotated, Literal, get_args
 
 from pydantic import Field, field_validator, model_validator
 
-from assets_procedural.hair.facial_hair import BEARD_STYLES
 from assets_procedural.hair.styles import STYLES
 from assets_procedural.people.ages import AGE_GROUPS
 from assets_procedural.people.ancestry import FAMILIES, AncestryGroup
-from assets_procedural.people.appearance_sampling import HAIR_COLOURS, HairStyle
+from assets_procedural.people.appearance_sampling import BEARDS, HAIR_COLOURS, HairStyle
 from assets_procedural.people.choices import Attribute
 from assets_procedural.settings import Interval, Settings, interval
 
@@ -24,7 +23,7 @@ VALUES: dict[Attribute, tuple[str, ...]] = {
     "ancestry": get_args(AncestryGroup),
     "hair_style": tuple(STYLES),
     "hair_colour": HAIR_COLOURS,
-    "beard": BEARD_STYLES,
+    "beard": BEARDS,
     "glasses": ("none", "clear", "sunglasses"),
     "hat": ("none", "worn"),
 }

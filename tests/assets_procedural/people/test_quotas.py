@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from assets_procedural.hair.facial_hair import BEARD_STYLES
 from assets_procedural.people.choices import ATTRIBUTES, spread_points
 from assets_procedural.people.people_settings import VALUES, PeopleSettings
 from assets_procedural.people.person_sampling import sample_person
@@ -73,6 +74,7 @@ def test_weights_multiply_what_is_natural() -> None:
 
 def test_every_value_of_a_person_is_one_that_jobs_may_name(crowd: list[Person]) -> None:
     assert tuple(VALUES) == ATTRIBUTES
+    assert VALUES["beard"] == BEARD_STYLES
     for person in crowd[:200]:
         found = attributes(person)
         assert tuple(found) == ATTRIBUTES
