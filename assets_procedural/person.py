@@ -47,9 +47,13 @@ class Eyes(Parameters):
 
 
 class Hair(Parameters):
-    """`parting` runs from -1 (subject's right) over 0 (centre) to 1 (left); others in [0, 1]."""
+    """`parting` runs from -1 (subject's right) over 0 (centre) to 1 (left); others in [0, 1].
+
+    `colour` is the name (black, brown, blond, red or grey) of what the pigments look like.
+    """
 
     style: str = "short"
+    colour: str = "brown"
     melanin: float = 0.8
     redness: float = 0.2
     grey: float = 0.0
@@ -108,11 +112,17 @@ class Hat(Parameters):
 class Person(Parameters):
     """One subject.
 
+    `sex` (male or female), `age_group` and `ancestry` name what was drawn first; `ancestry_mix` has
+    the share of each ancestry, of sum 1. What follows from them, and is seen, is in the others:
     `phenotypes` are Anny's (gender 0 male to 1 female, age, muscle, weight, height, proportions,
     african, asian, caucasian …) in [0, 1]; `shape` its local changes in [-1, 1]; `asymmetry`
     MakeHuman's asymmetry targets in [0, 1].
     """
 
+    sex: str = ""
+    age_group: str = ""
+    ancestry: str = ""
+    ancestry_mix: dict[str, float] = Field(default_factory=dict)
     age_years: float = 35.0
     phenotypes: dict[str, float] = Field(default_factory=dict)
     shape: dict[str, float] = Field(default_factory=dict)

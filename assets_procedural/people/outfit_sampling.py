@@ -36,13 +36,18 @@ def draw_top(rng: np.random.Generator) -> Top:
     )
 
 
+def glasses_share(age: float, probability: float) -> float:
+    """Share of people of an age that wear glasses, where `probability` of the young ones do."""
+    # (1 - p)^k keeps 0 at 0 and 1 at 1 while older people wear glasses more often.
+    exponent = float(np.interp(age, [5.0, 20.0, 40.0, 65.0], [0.4, 1.0, 1.2, 3.0]))
+    return 1.0 - (1.0 - probability) ** exponent
+
+
 def draw_glasses(
     rng: np.random.Generator, age: float, probability: float, sunglasses: float
 ) -> Glasses | None:
     """Glasses or none; `sunglasses` is the share with tinted lenses."""
-    # (1 - p)^k keeps 0 at 0 and 1 at 1 while older people wear glasses more often.
-    exponent = float(np.interp(age, [5.0, 20.0, 40.0, 65.0], [0.4, 1.0, 1.2, 3.0]))
-    worn = rng.random() < 1.0 - (1.0 - probability) ** exponent
+    worn = rng.random() < glasses_share(age, probability)
     shape = str(rng.choice(["rectangle", "round", "aviator"], p=[0.5, 0.32, 0.18]))
     metal = bool(rng.random() < {"aviator": 0.85, "round": 0.45, "rectangle": 0.3}[shape])
     frame = _linear(str(rng.choice(_FRAMES)))
