@@ -31,6 +31,8 @@ from synthgen.pictures.page import (
 )
 
 SHEET = 1560
+MOST = 200
+"""Pictures on one page."""
 
 
 @dataclass
@@ -90,16 +92,27 @@ def sheet(out: Place, target: Path | str, subjects: int = 6) -> Path:
         return save(image, Path(target))
 
 
-def portraits(out: Place, target: Path | str, people: int = 10, columns: int = 5) -> Path:
-    """Draw one picture of each of up to `people` subjects, `columns` in a row. Returns `target`."""
-    dataset = open_dataset(out)
-    first = [positions[0] for positions in list(dataset.subjects().values())[:people]]
-    chosen = [dataset[position] for position in console.track(first, "drawing portraits")]
+def portraits(out: Place, target: Path | str, subset: str | None = None, columns: int = 5) -> Path:
+    """Draw pictures edge to edge, `columns` in a row. Returns `target`.
+
+    The first picture of every subject of the subset (of the dataset by default) or, if there is
+    one subject alone, all of its pictures: shot after shot, under one environment after the other.
+    At most `MOST`. Raises `StorageError` if nothing is finished yet.
+    """
+    dataset = open_dataset(out, subset=subset)
+    people = list(dataset.subjects().values())
+    single = len(people) == 1
+    chosen = people[0] if single else [positions[0] for positions in people[:MOST]]
+    images: list[np.ndarray] = []
+    for position in console.track(chosen, "drawing portraits"):
+        pictures = dataset[position].rgb
+        images.extend(pictures if single else pictures[:1])
+    images = images[:MOST]
     size = SHEET // columns
-    image = Image.new("RGB", (size * columns, size * -(-len(chosen) // columns)), PAPER)
-    for i, shot in enumerate(chosen):
-        put(image, Tile(shot.rgb[0], (i % columns) * size, (i // columns) * size, size, size))
-    return save(image, Path(target))
+    page = Image.new("RGB", (size * columns, size * -(-len(images) // columns)), PAPER)
+    for i, image in enumerate(images):
+        put(page, Tile(image, (i % columns) * size, (i // columns) * size, size, size))
+    return save(page, Path(target))
 
 
 class _Sheet:
