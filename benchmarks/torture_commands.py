@@ -482,6 +482,8 @@ def heard() -> Iterator[Callable[[], str]]:
 
 def main() -> None:
     """Run all cases and print how many of each kind held."""
+    # A shell lets background jobs ignore it, and processes inherit that.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     os.environ.update(NO_COLOR="1", COLUMNS="200")
     console.FIRST_LINE = 600.0  # how far work is would be lines as well
     failures: list[str] = []
