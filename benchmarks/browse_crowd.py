@@ -4,7 +4,7 @@
 
 Without DIR a dataset of 8 people at 256² is made with the tests' renderer, in a temporary folder.
 Each client asks for what the page asks for (rows, counts, thumbnails, shots, passes, values,
-meshes), one thing after another over one connection, each time with another filter. Of the slow
+geometry), one thing after another over one connection, each time with another filter. Of the slow
 ones a quarter each sends nothing, a byte of a head per second, a body that stops, and asks for
 files that it does not read. Prints requests per second, errors, percentiles of the time to an
 answer, and the memory of the server; exits with 1 if there was an error, or a slow client was
