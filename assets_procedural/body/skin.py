@@ -14,7 +14,7 @@ from assets_procedural.body.hairline import hairline_distance
 from assets_procedural.body.head import HeadModel
 from assets_procedural.body.regions import fields
 from assets_procedural.mesh.vectors import smoothstep
-from assets_procedural.person import ADULT, Makeup, Person
+from assets_procedural.person import ADULT, Person
 
 # Absorbance (-ln reflectance) of bloodless unpigmented skin and of a full measure of each pigment,
 # fitted by eye to photographs from Fitzpatrick type I (melanin 0) to VI (melanin 1); the spectral
@@ -109,8 +109,7 @@ def skin_fields(person: Person, model: HeadModel) -> SkinFields:
     roughness = roughness + zone["mouth_interior"] * (0.2 - roughness)
     sebum = (0.08 + 0.2 * skin.oiliness) * (0.55 + 0.9 * zone["t_zone"] - 0.25 * zone["neck"])
     sebum = np.maximum(sebum, 0.3 * zone["lips"]) * (1 - 0.7 * inside)
-    painted = _painted(person.makeup, zone, model)
-    for paint, strength in painted:
+    for paint, strength in _painted(person, zone, model):
         colour += strength[:, None] * (paint - colour)
     powder = max(person.makeup.blush, 0.5 * person.makeup.lipstick)
     sebum = sebum * (1 - 0.4 * powder * (1 - zone["lips"]))
@@ -130,9 +129,12 @@ def skin_fields(person: Person, model: HeadModel) -> SkinFields:
 
 
 def _painted(
-    makeup: Makeup, zone: dict[str, np.ndarray], model: HeadModel
+    person: Person, zone: dict[str, np.ndarray], model: HeadModel
 ) -> list[tuple[np.ndarray, np.ndarray]]:
     """Colours (3,) of what is painted on, with how much of each vertex it covers (V,)."""
+    makeup = person.makeup
+    # Paints are chosen to go with the skin: what is deep on pale skin is bright on dark.
+    deep = 1 - 0.6 * person.skin.melanin
     x, _, z = np.abs(model.template.T)
     lid = zone["eyelids"] * smoothstep(0.7255, 0.7325, z) * smoothstep(0.7475, 0.736, z)
     apple = smoothstep(
@@ -140,7 +142,7 @@ def _painted(
     )
     apple *= 1 - np.clip(zone["ears"] + zone["neck"], 0, 1)
     return [
-        (np.array(makeup.lip_colour), 0.8 * makeup.lipstick * zone["lips"]),
-        (np.array(makeup.lid_colour), 0.6 * makeup.eyeshadow * lid),
-        (np.array(_ROUGE), 0.35 * makeup.blush * apple),
+        (deep * np.array(makeup.lip_colour), 0.8 * makeup.lipstick * zone["lips"]),
+        (deep * np.array(makeup.lid_colour), 0.5 * makeup.eyeshadow * lid),
+        (deep * np.array(_ROUGE), 0.35 * makeup.blush * apple),
     ]

@@ -9,8 +9,7 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from scipy.interpolate import LinearNDInterpolator
-from scipy.ndimage import zoom
+from scipy.ndimage import distance_transform_edt, gaussian_filter, map_coordinates, zoom
 
 from assets_procedural.body.head import HeadModel
 from assets_procedural.body.regions import fields
@@ -21,7 +20,12 @@ WIDTH, HEIGHT = 1024, 896
 _CENTRE = np.array([0.0, 0.0, 0.700])
 _AZIMUTH = np.radians(78.0)
 _ELEVATION = np.radians([-66.0, 46.0])
-_COARSE = 8
+COARSE = 4
+"""Texels of the picture to one cell of `zones`."""
+_PER_QUAD = 6
+_FRONT = np.array([[-0.09, 0.56], [0.09, 0.82]])
+_FRONT_CELL = 0.8e-3
+_ZONES = ("lips", "nose", "cheeks", "chin", "forehead", "neck")
 # Where the chart ends at the back of the head: far below the picture, so that faces across the
 # seam do not show the whole of it.
 _OUTSIDE = (0.5, -10.0)
@@ -48,20 +52,12 @@ def pixels(points: np.ndarray) -> np.ndarray:
 @lru_cache(maxsize=2)
 def surface(model: HeadModel) -> np.ndarray:
     """(HEIGHT, WIDTH, 3) float32 template position of every texel; lids and lips closed."""
-    refined, shown = _outside(model)
-    u, v = project(refined[shown]).T
-    radius = np.linalg.norm(refined[shown] - _CENTRE, axis=1)
-    rows, columns = HEIGHT // _COARSE + 1, WIDTH // _COARSE + 1
-    at_v, at_u = np.meshgrid(np.linspace(1, 0, rows), np.linspace(0, 1, columns), indexing="ij")
-    coarse = LinearNDInterpolator(np.stack([u, v], axis=1), radius)(at_u, at_v)
-    coarse = np.where(np.isfinite(coarse), coarse, np.median(radius))
-    fine = zoom(coarse, _COARSE, order=1, grid_mode=True, mode="nearest")
-    row, column = (0.5 + np.arange(HEIGHT)) / HEIGHT, (0.5 + np.arange(WIDTH)) / WIDTH
-    # `zoom` resamples the corners' grid; the last interval is only half seen.
-    fine = fine[_COARSE // 2 :][:HEIGHT, _COARSE // 2 :][:, :WIDTH]
+    points, _ = _samples(model)
+    radius = _gathered(model, np.linalg.norm(points - _CENTRE, axis=1))
+    radius = zoom(radius, COARSE, order=1, grid_mode=True, mode="nearest")
     low, high = _ELEVATION
-    elevation = (high + (low - high) * row)[:, None]
-    azimuth = ((column - 0.5) * 2 * _AZIMUTH)[None]
+    elevation = (high + (low - high) * (0.5 + np.arange(HEIGHT)) / HEIGHT)[:, None]
+    azimuth = (((0.5 + np.arange(WIDTH)) / WIDTH - 0.5) * 2 * _AZIMUTH)[None]
     direction = np.stack(
         [
             np.cos(elevation) * np.sin(azimuth),
@@ -70,30 +66,23 @@ def surface(model: HeadModel) -> np.ndarray:
         ],
         axis=-1,
     )
-    result = (_CENTRE + fine[..., None] * direction).astype(np.float32)
+    result = (_CENTRE + radius[..., None] * direction).astype(np.float32)
     result.setflags(write=False)
     return result
 
 
-def lift(model: HeadModel, front: np.ndarray) -> np.ndarray:
-    """Template positions (N, 3) of points (N, 2) given as seen from in front: x and z."""
-    depth = _front(model)(front)
-    if not np.isfinite(depth).all():
-        raise ValueError("a point lies beside the face")
-    return np.stack([front[:, 0], depth, front[:, 1]], axis=1)
-
-
 @lru_cache(maxsize=2)
 def zones(model: HeadModel) -> dict[str, np.ndarray]:
-    """`body.regions.fields` over the picture, every fourth texel: (HEIGHT / 4, WIDTH / 4) each."""
-    points = surface(model)[::4, ::4]
-    at = project(points).reshape(-1, 2)
-    refined, shown = _outside(model)
-    matrix = catmull_clark(model.faces["skin"], len(model.template)).matrix
-    names = ("lips", "nose", "cheeks", "chin", "forehead", "beard", "neck", "under_eye", "eyelids")
-    table = np.stack([(matrix @ fields(model)[name])[shown] for name in names], axis=1)
-    found = LinearNDInterpolator(project(refined[shown]), table, fill_value=0.0)(at)
-    return {n: found[:, k].reshape(points.shape[:2]) for k, n in enumerate(names)}
+    """`body.regions.fields` over the picture: (HEIGHT / COARSE, WIDTH / COARSE) each."""
+    _, table = _samples(model)
+    return {name: _gathered(model, table[:, k]) for k, name in enumerate(_ZONES)}
+
+
+def lift(model: HeadModel, front: np.ndarray) -> np.ndarray:
+    """Template positions (N, 3) of points (N, 2) given as seen from in front: x and z."""
+    at = (front - _FRONT[0]) / _FRONT_CELL - 0.5
+    depth = map_coordinates(_front(model), at.T, order=1, mode="nearest")
+    return np.stack([front[:, 0], depth, front[:, 1]], axis=1)
 
 
 @lru_cache(maxsize=1)
@@ -105,25 +94,48 @@ def border() -> np.ndarray:
 
 
 @lru_cache(maxsize=2)
-def _outside(model: HeadModel) -> tuple[np.ndarray, np.ndarray]:
-    """The refined template (V', 3) and the vertices that the chart shows."""
-    matrix = catmull_clark(model.faces["skin"], len(model.template)).matrix
-    refined = matrix @ model.template
+def _samples(model: HeadModel) -> tuple[np.ndarray, np.ndarray]:
+    """Positions (N, 3) all over the skin that the chart shows, and `_ZONES` there (N, K)."""
     zone = fields(model)
-    hidden = matrix @ (zone["mouth_interior"] + zone["eye_socket"] + zone["ears"])
-    used = np.isin(np.arange(len(model.template)), model.groups["skin"])
-    used = (matrix @ used.astype(float)) > 0.99
-    return refined, used & (hidden < 0.3) & (project(refined)[:, 1] > 0)
+    hidden = zone["mouth_interior"] + zone["eye_socket"] + zone["ears"]
+    quads = model.faces["skin"]
+    refined = catmull_clark(quads, len(model.template))
+    table = np.stack([*model.template.T, hidden, *(zone[name] for name in _ZONES)], axis=1)
+    table = (refined.matrix @ table)[refined.faces]
+    table = table[(table[..., 3] < 0.3).all(axis=1)]
+    table = table[(project(table[..., :3])[..., 1] > 0).all(axis=1)]
+    at = (0.5 + np.arange(_PER_QUAD)) / _PER_QUAD
+    a, b = (grid.ravel() for grid in np.meshgrid(at, at))
+    corners = np.stack([(1 - a) * (1 - b), a * (1 - b), a * b, (1 - a) * b], axis=1)
+    everywhere = np.einsum("sk,qkc->qsc", corners, table).reshape(-1, table.shape[-1])
+    return everywhere[:, :3], everywhere[:, 4:]
+
+
+def _gathered(model: HeadModel, values: np.ndarray) -> np.ndarray:
+    """Means (HEIGHT / COARSE, WIDTH / COARSE) of what the samples hold, nearest where none is."""
+    points, _ = _samples(model)
+    columns, rows = ((pixels(points) + 0.5) / COARSE).astype(int).T
+    shape = (HEIGHT // COARSE, WIDTH // COARSE)
+    cell = np.ravel_multi_index((rows, columns), shape, mode="clip")
+    size = shape[0] * shape[1]
+    count = np.bincount(cell, minlength=size).reshape(shape)
+    total = np.bincount(cell, values, minlength=size).reshape(shape)
+    return _filled(total / np.maximum(count, 1), count > 0)
 
 
 @lru_cache(maxsize=2)
-def _front(model: HeadModel) -> LinearNDInterpolator:
-    refined, shown = _outside(model)
-    points = refined[shown & (refined[:, 1] < -0.02)]
-    cell = np.floor(points[:, [0, 2]] / 0.005).astype(int)
-    _, where = np.unique(cell, axis=0, return_inverse=True)
-    where = where.ravel()
-    first = np.full(where.max() + 1, np.inf)
-    np.minimum.at(first, where, points[:, 1])
-    points = points[points[:, 1] < first[where] + 0.012]
-    return LinearNDInterpolator(points[:, [0, 2]], points[:, 1])
+def _front(model: HeadModel) -> np.ndarray:
+    """Depth y of the first surface seen from in front, over cells of x and z from `_FRONT`."""
+    points, _ = _samples(model)
+    low, high = _FRONT
+    shape = tuple(np.ceil((high - low) / _FRONT_CELL).astype(int))
+    cell = np.floor((points[:, [0, 2]] - low) / _FRONT_CELL).astype(int)
+    inside = ((cell >= 0) & (cell < shape)).all(axis=1)
+    first = np.full(shape, np.inf)
+    np.minimum.at(first, tuple(cell[inside].T), points[inside, 1])
+    return gaussian_filter(_filled(first, np.isfinite(first)), 0.7)
+
+
+def _filled(values: np.ndarray, known: np.ndarray) -> np.ndarray:
+    _, nearest = distance_transform_edt(~known, return_indices=True)  # type: ignore[misc]
+    return values[tuple(nearest)]

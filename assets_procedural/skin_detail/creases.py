@@ -15,7 +15,7 @@ from assets_procedural.person import Skin
 from assets_procedural.skin_detail import chart
 from assets_procedural.skin_detail.fold_curves import FOLDS, Fold
 
-_STEP = 0.7e-3
+_STEP = 2.0e-3
 _Box = tuple[slice, slice]
 
 
@@ -122,10 +122,10 @@ def _relief(
 def _smooth(points: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """A smooth curve (N, 2) through (K, 2) points, in steps of about `_STEP`, a little unsteady."""
     length = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-    count = max(int(length[-1] / _STEP) // 2, 3)
+    count = max(int(length[-1] / _STEP), 4)
     at = np.linspace(0, length[-1], count)
     path = np.stack([PchipInterpolator(length, points[:, k])(at) for k in (0, 1)], axis=1)
-    knots = max(count // 4, 3)
+    knots = max(count // 3, 3)
     for k, unsteady in enumerate(rng.normal(0, 0.25e-3, (2, knots))):
         path[:, k] += np.interp(at, np.linspace(0, length[-1], knots), unsteady)
     return path

@@ -15,14 +15,15 @@ from assets_procedural.person import Person
 from assets_procedural.skin_detail import chart
 
 # Absorbed at the middle of a mark, linear RGB.
-_FRECKLE = np.array([0.30, 0.50, 0.62])
-_AGE_SPOT = np.array([0.30, 0.44, 0.52])
-_MOLE = np.array([0.68, 0.78, 0.82])
-_BLEMISH = np.array([0.06, 0.36, 0.36])
-_SCAR = np.array([0.12, 0.20, 0.22])
-_VEIN = np.array([0.13, 0.055, 0.035])
-_LINER = np.array([0.90, 0.90, 0.88])
+_FRECKLE = np.array([0.30, 0.50, 0.62], np.float32)
+_AGE_SPOT = np.array([0.30, 0.44, 0.52], np.float32)
+_MOLE = np.array([0.68, 0.78, 0.82], np.float32)
+_BLEMISH = np.array([0.06, 0.36, 0.36], np.float32)
+_SCAR = np.array([0.12, 0.20, 0.22], np.float32)
+_VEIN = np.array([0.13, 0.055, 0.035], np.float32)
+_LINER = np.array([0.90, 0.90, 0.88], np.float32)
 
+_TEXEL = 0.33e-3
 # Seen from in front, millimetres: a vein at the temple, and the rims of the lids outwards.
 _VEINS = (
     ((56, 738), (58, 745), (57, 751), (60, 758), (58.5, 766)),
@@ -45,7 +46,7 @@ def marks(person: Person, model: HeadModel) -> tuple[np.ndarray, np.ndarray]:
     if skin.freckles > 0.03:
         sunny = np.clip(zone["cheeks"] + zone["nose"] + 0.25 * zone["forehead"] + 0.06, 0, 1) * bare
         spots = _spots(rng, sunny, int(900 * skin.freckles), (0.5e-3, 1.5e-3), 0.75)
-        absorbed += spots[..., None] * (_FRECKLE * (0.35 + 0.55 * skin.freckles))
+        absorbed += spots[..., None] * (_FRECKLE * np.float32(0.35 + 0.55 * skin.freckles))
     elderly = float(np.clip((person.age_years - 45) / 40, 0, 1))
     if elderly > 0:
         high = (np.clip(zone["forehead"] + 0.6 * zone["cheeks"] + 0.15, 0, 1)) * bare
@@ -72,18 +73,19 @@ def marks(person: Person, model: HeadModel) -> tuple[np.ndarray, np.ndarray]:
     absorbed += scars[..., None] * _SCAR
     relief -= 0.18e-3 * scars
 
-    pale = smoothstep(0.45, 0.1, np.array(skin.melanin))
-    strength = float(pale) * rng.uniform(0.15, 0.8) * (0.6 + 0.6 * elderly)
-    for side in (1, -1):
-        for vein in _VEINS:
-            path = np.array(vein) * 1e-3 + rng.normal(0, 1.0e-3, (len(vein), 2))
-            drawn = _stroke(model, path * [side, 1], 1.1e-3)
-            absorbed += (strength * drawn)[..., None] * _VEIN
-        if person.makeup.liner > 0:
-            upper = _stroke(model, np.array(_UPPER_RIM) * 1e-3 * [side, 1], 1.0e-3)
-            lower = _stroke(model, np.array(_LOWER_RIM) * 1e-3 * [side, 1], 0.8e-3)
-            line = person.makeup.liner * np.maximum(upper, 0.45 * lower)
-            absorbed += line[..., None] * _LINER
+    pale = float(smoothstep(0.45, 0.1, np.array(skin.melanin)))
+    strength = pale * rng.uniform(0.15, 0.8) * (0.6 + 0.6 * elderly)
+    paths = [np.array(vein) + rng.normal(0, 1.0, (len(vein), 2)) for vein in 2 * _VEINS]
+    if strength > 0.05:
+        mirrored = [path * ([1, 1] if k < len(_VEINS) else [-1, 1]) for k, path in enumerate(paths)]
+        absorbed += (strength * _strokes(model, mirrored, 1.1e-3))[..., None] * _VEIN
+    if person.makeup.liner > 0:
+        upper, lower = (
+            _strokes(model, [np.array(rim) * [side, 1] for side in (1, -1)], width)
+            for rim, width in ((_UPPER_RIM, 1.0e-3), (_LOWER_RIM, 0.8e-3))
+        )
+        line = person.makeup.liner * np.maximum(upper, 0.45 * lower)
+        absorbed += line[..., None] * _LINER
     fade = chart.border()
     return np.clip(absorbed, 0, 0.93) * fade[..., None], relief * fade
 
@@ -96,7 +98,7 @@ def _spots(
     ragged: float,
     soft: float = 0.9,
 ) -> np.ndarray:
-    """Irregular soft spots (H, W) in [0, 1], placed by `density` over every fourth texel.
+    """Irregular soft spots (H, W) in [0, 1], placed by `density` over the cells of `zones`.
 
     `radii` metres, the smallest most frequent; `ragged` in [0, 1]; `soft`: width of the edge in
     radii.
@@ -109,8 +111,8 @@ def _spots(
     rows, columns = np.divmod(np.minimum(cells, density.size - 1), density.shape[1])
     low, high = radii
     for row, column in zip(rows, columns, strict=True):
-        centre = 4 * np.array([row, column]) + rng.uniform(0, 4, 2)
-        radius = (low + (high - low) * rng.random() ** 2.2) / 0.33e-3
+        centre = chart.COARSE * np.array([row, column]) + rng.uniform(0, chart.COARSE, 2)
+        radius = (low + (high - low) * rng.random() ** 2.2) / _TEXEL
         half = int(np.ceil(radius * (1.6 + soft))) + 1
         top, left = (int(c) - half for c in centre)
         if top < 0 or left < 0 or top + 2 * half >= chart.HEIGHT or left + 2 * half >= chart.WIDTH:
@@ -130,14 +132,17 @@ def _spots(
     return result
 
 
-def _stroke(model: HeadModel, front: np.ndarray, width: float) -> np.ndarray:
-    """A soft line (H, W) in [0, 1] along points (N, 2) seen from in front; `width` metres."""
-    length = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(front, axis=0), axis=1))])
-    at = np.linspace(0, length[-1], max(int(length[-1] / 0.15e-3), 2))
-    path = np.stack([np.interp(at, length, front[:, k]) for k in (0, 1)], axis=1)
-    columns, rows = chart.pixels(chart.lift(model, path)).T
+def _strokes(model: HeadModel, paths: list[np.ndarray], width: float) -> np.ndarray:
+    """Soft lines (H, W) in [0, 1] along points (N, 2), seen from in front, mm; `width` metres."""
     drawn = np.zeros((chart.HEIGHT, chart.WIDTH), np.float32)
-    ends = smoothstep(0, 0.25, at / length[-1]) * smoothstep(1, 0.85, at / length[-1])
-    np.maximum.at(drawn, (rows.round().astype(int), columns.round().astype(int)), ends)
-    blurred = gaussian_filter(drawn, 0.5 * width / 0.33e-3)
+    for path in paths:
+        front = path * 1e-3
+        length = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(front, axis=0), axis=1))])
+        at = np.linspace(0, length[-1], max(int(length[-1] / 0.15e-3), 2))
+        front = np.stack([np.interp(at, length, front[:, k]) for k in (0, 1)], axis=1)
+        columns, rows = chart.pixels(chart.lift(model, front)).round().astype(int).T
+        along = at / length[-1]
+        ends = smoothstep(0, 0.25, along) * smoothstep(1, 0.85, along)
+        np.maximum.at(drawn, (rows, columns), ends.astype(np.float32))
+    blurred = gaussian_filter(drawn, 0.5 * width / _TEXEL)
     return np.clip(blurred / max(float(blurred.max()), 1e-6), 0, 1)

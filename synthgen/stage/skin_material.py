@@ -5,6 +5,7 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
+from assets_procedural.body.skin import HAEMOGLOBIN, MELANIN
 from assets_procedural.person import Skin
 from synthgen.stage.nodes import Socket
 from synthgen.stage.shading import new_material, write_labels
@@ -40,12 +41,15 @@ def skin(parameters: Skin) -> bpy.types.Material:
         tone = graph.mix(graph.stretch(value, low, high, (0, 1)), *tones)
         return graph.mix(1.0, colour, tone, "MULTIPLY")
 
-    # Blood in patches of centimetres, pigment at 4 to 12 mm, dark mouths of pores.
+    # Blood in patches of centimetres, pigment at 5 to 15 mm, dark mouths of pores. Dark skin hides
+    # its blood and is the more uneven in pigment.
     colour = graph.attribute("colour").outputs["Color"]
-    flush = graph.noise(place, 56, detail=4, rough=0.66)
-    colour = tinted(colour, flush, 0.34, 0.68, (1.0, 1.055, 1.03), (1.02, 0.86, 0.85))
-    tan = graph.noise(graph.combine("ADD", place, (3.1, 1.7, 0.4)), 150, detail=5, rough=0.72)
-    colour = tinted(colour, tan, 0.34, 0.66, (0.92, 0.885, 0.845), (1.055, 1.06, 1.075))
+    flush = graph.noise(place, 48, detail=4, rough=0.68)
+    blood = (1 - 0.5 * parameters.melanin) * HAEMOGLOBIN
+    colour = tinted(colour, flush, 0.35, 0.66, _tone(0.30 * blood), _tone(-0.42 * blood))
+    tan = graph.noise(graph.combine("ADD", place, (3.1, 1.7, 0.4)), 118, detail=5, rough=0.8)
+    pigment = (0.055 + 0.04 * parameters.melanin) * MELANIN
+    colour = tinted(colour, tan, 0.35, 0.65, _tone(-pigment), _tone(0.6 * pigment))
     specks = graph.noise(place, 620, detail=1)
     amount = graph.math("MULTIPLY", graph.stretch(specks, 0.58, 0.72, (0, 0.6)), pores)
     colour = graph.mix(amount, colour, graph.mix(1.0, colour, (0.82, 0.74, 0.70), "MULTIPLY"))
@@ -83,6 +87,11 @@ def skin(parameters: Skin) -> bpy.types.Material:
     graph.output(surface.outputs[0])
     write_labels(graph, colour, graph.scalar("part"))
     return material
+
+
+def _tone(log_gain: np.ndarray) -> tuple[float, float, float]:
+    red, green, blue = (float(c) for c in np.exp(log_gain))
+    return red, green, blue
 
 
 def show_detail(picture: np.ndarray) -> None:
