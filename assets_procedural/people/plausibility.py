@@ -27,6 +27,7 @@ DEVIATION: dict[str, float] = {
     "lower lip": 1.6,
     "chin": 3.6,
     "brow height": 2.4,
+    "forehead": 5.0,
 }
 LIMIT = 2.1
 """No measure is more than so many of its deviations from the average of a subject's own kind."""
@@ -48,6 +49,8 @@ RELATIONS: tuple[tuple[str, str, float], ...] = (
     ("philtrum", "chin", 2.6),
     ("upper lip", "lower lip", 2.0),
     ("philtrum", "upper lip", 2.6),
+    ("forehead", "face width", 2.0),
+    ("forehead", "face height", 2.6),
 )
 _ROUNDS = 4
 _EXTREME = 3.0  # deviates of a single change

@@ -9,7 +9,7 @@ SPREAD: dict[str, float] = {
     # skull
     "head-scale-horiz-incr": 0.14,
     "head-scale-depth-incr": 0.18,
-    "head-scale-vert-incr": 0.13,
+    "head-scale-vert-incr": 0.11,
     "head-angle-out": 0.14,
     "head-fat-incr": 0.26,
     "head-back-scale-depth-incr": 0.16,
@@ -255,7 +255,7 @@ PARTS: dict[str, dict[str, dict[str, float]]] = {
     },
     "skull": {
         "depth": {"head-scale-depth-incr": 1.0, "head-back-scale-depth-incr": 0.6},
-        "height": {"head-scale-vert-incr": 0.9},
+        "height": {"head-scale-vert-incr": 0.6},
         "width": {"head-scale-horiz-incr": 0.9},
         "neck": {"measure-neck-circ-incr": 0.9, "neck-scale-depth-incr": 0.8},
     },
@@ -295,6 +295,10 @@ OLD: dict[str, float] = {
 """Added at 85 years, in parts from 40 on: what sags, thins or goes on growing."""
 
 CHILD: dict[str, float] = {
-    "±eye-scale-incr": 0.1,
-}
+    "mouth-scale-horiz-incr": -0.5, "mouth-upperlip-volume-incr": -0.3,
+    "mouth-lowerlip-volume-incr": -0.35, "mouth-upperlip-height-incr": -0.2,
+    "mouth-lowerlip-height-incr": -0.25, "nose-nostrils-width-incr": -0.3,
+    "nose-scale-horiz-incr": -0.15, "nose-hump-incr": -0.2, "±eye-scale-incr": -0.15,
+    "eyebrows-trans-forward": -0.2, "chin-width-incr": -0.15,
+}  # fmt: skip
 """Added at 3 years, in parts up to 14."""

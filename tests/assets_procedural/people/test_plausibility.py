@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from assets_procedural.body.head import HeadModel
-from assets_procedural.body.landmarks import landmarks
 from assets_procedural.people import face_shape, measures
 from assets_procedural.people.people_settings import PeopleSettings
 from assets_procedural.people.person_sampling import sample_person
@@ -78,7 +77,9 @@ def test_measures_of_faces_are_those_of_people(sex: str) -> None:
     )
     found = np.array([
         measures.measure(
-            landmarks(model.identity(sample_person(np.random.default_rng(k), settings)).neutral)
+            measures.face_points(
+                model.identity(sample_person(np.random.default_rng(k), settings)).neutral
+            )
         )
         for k in range(40)
     ])  # fmt: skip
