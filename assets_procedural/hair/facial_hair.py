@@ -144,7 +144,7 @@ def lashes(person: Person, identity: Identity, rng: np.random.Generator) -> list
     """All four rows of lashes in one piece; they ride on the lids, so they close with them."""
     model = identity.model
     male = 1 - person.phenotypes.get("gender", 0.5)
-    all_roots, all_strands = [], []
+    all_roots, all_strands, all_radii = [], [], []
     for sign, side in ((1, "left"), (-1, "right")):
         eye = model.template[model.groups[f"eye_{side}"]].mean(axis=0)
         for lid in ("lower", "upper"):
@@ -164,13 +164,13 @@ def lashes(person: Person, identity: Identity, rng: np.random.Generator) -> list
             )
             at = roots.of(model.template)
             fan = np.clip((sign * at[:, 0] - 0.031) / 0.012, -1.2, 1.3)
-            length = rng.uniform(0.75, 1.05, count) * (0.0088 - 0.0012 * male if upper else 0.0045)
+            length = rng.uniform(0.6, 1.05, count) * (0.0088 - 0.0012 * male if upper else 0.0038)
             length *= 0.85 + 0.15 * fan if upper else 0.9 + 0.1 * fan
             length *= 1 - 0.25 * smoothstep(0.4, 1.2, np.abs(fan))
             out = np.stack([sign * 0.55 * fan, -1 - 0 * fan, -0.18 + 0 * fan], axis=1)
             if not upper:
                 out[:, 2] = -0.55
-            out = unit(out + rng.normal(0, 0.07, (count, 3)))
+            out = unit(out + rng.normal(0, 0.12 if upper else 0.18, (count, 3)))
             bend = np.array([0, 0.12, 1.0]) if upper else np.array([0, -0.1, -0.35])
             along = np.linspace(0, 1, 6)[None, :, None]
             reach = length[:, None, None]
@@ -180,6 +180,8 @@ def lashes(person: Person, identity: Identity, rng: np.random.Generator) -> list
             )
             strands = roots.of(identity.rest)[:, None] + strands
             tips = _locked(strands, 3, 0.55, rng)
+            thick = tapered(count, 6, 6.2e-5 if upper else 3.6e-5, 1.0e-5, rng)
+            all_radii.append(thick)
             all_roots.append(roots)
             all_strands.append(tips)
     roots = Roots(
@@ -188,7 +190,7 @@ def lashes(person: Person, identity: Identity, rng: np.random.Generator) -> list
     )
     strands = np.concatenate(all_strands)
     count = len(strands)
-    radius = tapered(count, 6, 5.5e-5, 1.2e-5, rng)
+    radius = np.concatenate(all_radii)
     # Lashes are darker than the hair of the head and grey late.
     melanin = float(np.clip(0.75 + 0.23 * person.hair.melanin, 0, 0.98))
     shading = colouring(melanin, person.hair.redness * 0.3, 0.0, count, rng, 0.4)

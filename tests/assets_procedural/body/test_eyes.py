@@ -35,7 +35,7 @@ def test_eyeballs_sit_at_their_joints(identity):
 def test_labels_and_transparent_films(pieces):
     for name, piece in pieces.items():
         assert piece.part == (Part.LEFT_EYE if "left" in name else Part.RIGHT_EYE)
-        assert piece.hidden_from_labels == (piece.material in ("cornea", "tear"))
+        assert piece.hidden_from_labels == (piece.material in ("cornea", "tear", "lid_shade"))
 
 
 def test_topology_is_constant_and_faces_are_whole(identity, pieces):
@@ -100,3 +100,17 @@ def test_tear_line_and_caruncle_stay_on_the_eye(identity, pieces):
         assert pieces["caruncle_left"].place(bust)[:, 0].mean() < centre[0] - 0.006
         tear = pieces["tear_left"].place(bust)
         assert np.median(tear[:, 2]) < centre[2]
+
+
+def test_the_shade_of_the_lids_follows_them_over_the_eye(identity, pieces):
+    centre, radius = eyeball(identity, "eye_left")
+    shade = pieces["lid_shade_left"]
+    dark = shade.vertex["shade"] > 0.5
+    for expression in ({}, {"eyeBlinkLeft": 0.5}, {"eyeWideLeft": 1.0}):
+        points = shade.place(identity.pose(Pose(expression=expression))) - centre
+        distance = np.linalg.norm(points, axis=1) / radius
+        assert distance.min() > 1.005 and distance.max() < 1.1
+        upper = points[:, 2] > 0.3 * radius * np.abs(points[:, 0])
+        # Darkest where the lid is, that is farthest from the pupil.
+        height = points[upper & dark][:, 2].mean() - points[upper & ~dark][:, 2].mean()
+        assert height > 0.001
