@@ -7,13 +7,14 @@ that frame are in eyeball radii unless said otherwise.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 
 import numpy as np
 
 from assets_procedural.body.head import Bust, HeadModel, Identity
 from assets_procedural.body.iris import eye_texture, texture_radius
-from assets_procedural.body.piece import MeshPiece, rigid
+from assets_procedural.body.piece import MeshPiece
 from assets_procedural.conventions.parts import Part
 from assets_procedural.mesh.subdivision import Subdivision, catmull_clark
 from assets_procedural.mesh.sweep import tube_faces
@@ -59,7 +60,7 @@ def eyes(person: Person, identity: Identity) -> list[MeshPiece]:
                 part,
                 ball.faces,
                 "eye",
-                rigid(name, centre + radius * ball.points),
+                _sunk(name, centre, radius * ball.points),
                 {"texture": np.ascontiguousarray(picture), "iris_angle": _LIMBUS},
                 ball.disc_uv(),
                 {"radial": ball.theta},
@@ -72,13 +73,29 @@ def eyes(person: Person, identity: Identity) -> list[MeshPiece]:
                 part,
                 shell.faces,
                 "cornea",
-                rigid(name, centre + radius * shell.points),
+                _sunk(name, centre, radius * shell.points),
                 {"ior": 1.376},
                 hidden_from_labels=True,
             )
         )
         pieces += [*_lid_pieces(name, part), _lid_shade(name, part)]
     return pieces
+
+
+def _sink(bust: Bust, name: str) -> float:
+    """By what share of its radius an eye shrinks behind its lid, which the cornea would pierce."""
+    side = name.removeprefix("eye_").capitalize()
+    closed = np.array(bust.pose.expression.get(f"eyeBlink{side}", 0.0))
+    return 0.08 * float(smoothstep(0.35, 1.0, closed))
+
+
+def _sunk(name: str, centre: np.ndarray, offset: np.ndarray) -> Callable[[Bust], np.ndarray]:
+    """A `place` of points at `offset` (V, 3) from an eye's centre that turn with its gaze."""
+
+    def place(bust: Bust) -> np.ndarray:
+        return moved(centre + (1 - _sink(bust, name)) * offset, bust.bones[name])
+
+    return place
 
 
 def eyeball(identity: Identity, name: str) -> tuple[np.ndarray, float]:
@@ -233,6 +250,7 @@ def _lid_pieces(name: str, part: Part) -> list[MeshPiece]:
 
     def tear(bust: Bust) -> np.ndarray:
         centre, radius = eyeball(bust.identity, name)
+        radius *= 1 - _sink(bust, name)
         theta = _lids(bust.model, name).contact(bust, centre, radius, phi)
         kernel = np.ones(5) / 5
         theta = np.convolve(np.pad(theta, 2, mode="edge"), kernel, mode="valid")
@@ -250,6 +268,7 @@ def _lid_pieces(name: str, part: Part) -> list[MeshPiece]:
 
     def caruncle(bust: Bust) -> np.ndarray:
         centre, radius = eyeball(bust.identity, name)
+        radius *= 1 - _sink(bust, name)
         corner = _lids(bust.model, name).inner_corner(bust) - centre
         seat = corner + (1.1e-3 if name == "eye_left" else -1.1e-3) * np.array([1, 0, 0])
         seat *= (radius - 0.2e-3) / np.linalg.norm(seat)
@@ -287,6 +306,7 @@ def _lid_shade(name: str, part: Part) -> MeshPiece:
 
     def place(bust: Bust) -> np.ndarray:
         centre, radius = eyeball(bust.identity, name)
+        radius *= 1 - _sink(bust, name)
         theta = _lids(bust.model, name).contact(bust, centre, radius, phi)
         theta = np.convolve(np.pad(theta, 2, mode="wrap"), np.ones(5) / 5, mode="valid")
         inwards = np.minimum(width / radius, 0.6 * theta)

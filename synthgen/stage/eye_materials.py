@@ -59,7 +59,8 @@ def clear(graph: Graph, parameters: dict[str, Any]) -> tuple[Any, Any]:
 
 
 def enamel(graph: Graph, parameters: dict[str, Any]) -> tuple[Any, Any]:
-    colour = colour_of(parameters, (0.72, 0.66, 0.54))
+    tone = graph.attribute("tone").outputs["Color"]
+    colour = graph.mix(1.0, colour_of(parameters, (0.72, 0.66, 0.54)), tone, "MULTIPLY")
     shader = graph.node("BsdfPrincipled", {
         "Base Color": colour, "Roughness": 0.22, "Subsurface Weight": 0.5,
         "Subsurface Scale": 0.002, "Coat Weight": 0.3, "Coat Roughness": 0.1,
