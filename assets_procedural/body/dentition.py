@@ -147,7 +147,7 @@ def _crown(crown: Crown, width: float, rng: np.random.Generator) -> np.ndarray:
     if crown.kind in ("incisor", "canine"):
         power = 2.4
         half_depth = crown.depth / 2 * (1 - rise) ** 0.85 + 0.55
-        rounding = np.array([1, 1, 1, 1, 1, 1, 1, 0.99, 0.94, 0.85, 0.0])[:, None]
+        rounding = np.array([1, 1, 1, 1, 1, 1, 0.99, 0.96, 0.89, 0.74, 0.0])[:, None]
         half_width = half_width * rounding
         half_depth = half_depth * np.array([1, 1, 1, 1, 1, 1, 1, 0.95, 0.8, 0.5, 0.0])[:, None]
         bite = np.zeros_like(angle)[None]
@@ -156,7 +156,7 @@ def _crown(crown: Crown, width: float, rng: np.random.Generator) -> np.ndarray:
             half_width = half_width * (1 - 0.55 * point**1.5)
         else:
             # The corner away from the midline is rounder; worn edges are slightly wavy.
-            bite = -0.25 * np.abs(cos)[None] ** 3 * (rise > 0.85)
+            bite = -0.5 * np.abs(cos)[None] ** 3 * (rise > 0.85)
     else:
         power = 3.0
         half_depth = crown.depth / 2 * (0.86 + 0.14 * np.sin(rise * np.pi))

@@ -36,7 +36,7 @@ def mouth(person: Person, identity: Identity) -> list[MeshPiece]:
     """
     rng = np.random.default_rng([person.skin.seed, 7])
     age = np.clip((person.age_years - 18) / 60, 0, 1)
-    shade = np.array([0.76, 0.71, 0.62]) * (1 - age * np.array([0.14, 0.19, 0.32]))
+    shade = np.array([0.77, 0.69, 0.575]) * (1 - age * np.array([0.14, 0.19, 0.32]))
     yellow = abs(rng.normal(0, 0.5))
     shade = shade * (1 + rng.normal(0, 0.04)) * (1 - yellow * np.array([0.0, 0.03, 0.1]))
     melanin = person.skin.melanin
