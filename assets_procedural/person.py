@@ -65,6 +65,19 @@ class Hair(Parameters):
 
 
 class Brows(Parameters):
+    """`style` is a name of `facial_hair.BROWS`, from which the rest departs.
+
+    `height_mm` lifts the brow, `slope` its outer end (mm per mm), `arch_mm` the peak; `taper`
+    thins the tail (below 0 the inner end), `start_mm` moves the inner end outwards. `thickness`
+    and `density` are in [0, 1].
+    """
+
+    style: str = "natural"
+    height_mm: float = 0.0
+    slope: float = 0.0
+    arch_mm: float = 0.0
+    taper: float = 0.0
+    start_mm: float = 0.0
     thickness: float = 0.5
     density: float = 0.6
     seed: int = 0

@@ -27,8 +27,8 @@ _IRISES: dict[str, Colour] = {
     "amber": (0.22, 0.11, 0.035),
     "hazel": (0.16, 0.12, 0.05),
     "green": (0.13, 0.16, 0.085),
-    "grey": (0.2, 0.23, 0.25),
-    "blue": (0.13, 0.21, 0.32),
+    "grey": (0.17, 0.19, 0.2),
+    "blue": (0.14, 0.19, 0.25),
 }
 _HAIR_MELANIN = {
     "black": (0.86, 0.98), "brown": (0.5, 0.84), "blond": (0.08, 0.4), "red": (0.35, 0.58)
@@ -193,11 +193,36 @@ def draw_eyes(
     )
 
 
+# How common each family of brows is: women, men.
+_BROW_STYLES: dict[str, tuple[float, float]] = {
+    "natural": (3.0, 4.0),
+    "flat": (1.2, 1.8),
+    "straight": (1.2, 1.6),
+    "arched": (2.2, 0.5),
+    "rounded": (1.4, 0.5),
+    "bushy": (0.5, 2.2),
+    "sparse": (0.9, 1.0),
+    "thin": (1.4, 0.15),
+}
+
+
 def draw_brows(rng: np.random.Generator, age: float, male: bool) -> Brows:
-    """Thicker for men, thinner with age."""
+    """A family by sex, then an outline of one's own; thicker for men, thinner with age."""
+    weights = np.array([pair[male] for pair in _BROW_STYLES.values()])
+    thin = np.clip((age - 50.0) / 40.0, 0.0, 1.0)
+
+    def spread(scale: float) -> float:
+        return round(float(np.clip(rng.normal(0.0, scale), -2.4 * scale, 2.4 * scale)), 4)
+
     return Brows(
-        thickness=clipped(rng.normal(0.6 if male else 0.42, 0.15)),
-        density=clipped(rng.normal(0.68 - 0.25 * np.clip((age - 50.0) / 40.0, 0.0, 1.0), 0.12)),
+        style=tuple(_BROW_STYLES)[rng.choice(len(weights), p=weights / weights.sum())],
+        height_mm=spread(1.3),
+        slope=spread(0.04),
+        arch_mm=spread(1.0),
+        taper=spread(0.35),
+        start_mm=spread(1.8),
+        thickness=clipped(rng.normal(0.58 if male else 0.42, 0.17)),
+        density=clipped(rng.normal(0.68 - 0.25 * thin, 0.13)),
         seed=draw_seed(rng),
     )
 

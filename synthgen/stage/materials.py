@@ -62,6 +62,7 @@ _SURFACES = {
     "cornea": eye_materials.clear,
     "tear": eye_materials.clear,
     "lens": eye_materials.clear,
+    "lid_shade": eye_materials.lid_shade,
     "teeth": eye_materials.enamel,
     "gums": eye_materials.mucosa,
     "tongue": eye_materials.mucosa,
