@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from assets_procedural.hair.beards import BEARDS
 from assets_procedural.hair.styles import STYLES
 from assets_procedural.person import ADULT, Beard, Brows, Colour, Eyes, Hair, Skin
 
@@ -29,6 +30,20 @@ _IRISES: dict[str, Colour] = {
 }
 _IRIS_WEIGHTS_LIGHT = (0.03, 0.2, 0.07, 0.18, 0.12, 0.12, 0.28)
 _IRIS_WEIGHTS_MEDIUM = (0.35, 0.42, 0.06, 0.12, 0.03, 0.01, 0.01)
+
+
+# Linear Rec.709 colours of dyed fibres.
+_DYES: dict[str, Colour] = {
+    "blonde": (0.56, 0.40, 0.20),
+    "platinum": (0.62, 0.55, 0.43),
+    "copper": (0.36, 0.10, 0.025),
+    "red": (0.36, 0.02, 0.025),
+    "pink": (0.58, 0.19, 0.30),
+    "purple": (0.16, 0.04, 0.26),
+    "blue": (0.03, 0.09, 0.34),
+    "green": (0.05, 0.22, 0.12),
+}
+_BLEACHED_DYES, _VIVID_DYES = tuple(_DYES)[:3], tuple(_DYES)[3:]
 
 
 def clipped(value: float) -> float:
@@ -96,10 +111,14 @@ def draw_hair(
     dyed = rng.random() < (0.12 if male else 0.45)
     if dyed and rng.random() < 0.3:
         melanin, redness = melanin * rng.uniform(0.5, 1.0), rng.uniform(0.2, 0.7)
+    dye, regrowth_mm = _draw_dye(rng, age, dyed)
+    # Ends bleached on purpose: balayage.
+    tips = rng.uniform(0.4, 1.0) if dyed and not male and rng.random() < 0.3 else 0.0
     onset = rng.normal(47.0 + 4.0 * (1.0 - ancestry["caucasian"]), 8.0)
     grey = 1.0 / (1.0 + np.exp(-(age - onset - 8.0) / 5.5))
     grey = 0.0 if grey < 0.03 or (dyed and age < 75.0) else grey
     thinning = np.clip((age - 35.0) / 60.0, 0.0, 1.0) * (0.55 if male else 0.3)
+    receding, bare = _draw_loss(rng, age, male)
     side = float(rng.choice([-1.0, 1.0]))
     parting = 0.0 if rng.random() < 0.3 else side * rng.uniform(0.3, 1.0)
     return Hair(
@@ -111,8 +130,35 @@ def draw_hair(
         parting=round(float(parting), 4),
         curl=curl,
         density=clipped(rng.normal(0.82, 0.1) - thinning * rng.random()),
+        receding=clipped(max(receding, STYLES[style].receding)),
+        thinning=clipped(max(bare, STYLES[style].thinning)),
+        dye=dye,
+        regrowth_mm=regrowth_mm,
+        tips=clipped(tips),
         seed=draw_seed(rng),
     )
+
+
+def _draw_loss(rng: np.random.Generator, age: float, male: bool) -> tuple[float, float]:
+    """How far the hairline has receded and the crown is bare, by age, in men, each to his own."""
+    degree, crown = rng.random(2)
+    if not male:
+        return 0.0, 0.0
+    aged = float(np.clip((age - 26.0) / 50.0, 0.0, 1.0))
+    receding = aged * (0.15 + 0.85 * degree**1.5)
+    bare = aged * degree * (1.4 * crown - 0.7)
+    return receding, max(0.0, bare)
+
+
+def _draw_dye(rng: np.random.Generator, age: float, dyed: bool) -> tuple[Colour | None, float]:
+    """A colour that hair does not grow in, and millimetres of regrowth below it; mostly none."""
+    vivid = rng.random() < 0.35
+    name = str(rng.choice(_VIVID_DYES if vivid else _BLEACHED_DYES))
+    regrowth = float(rng.choice([0.0, rng.uniform(5.0, 60.0)], p=[0.4, 0.6]))
+    chance = (0.16 if dyed else 0.015) * float(np.interp(age, [30.0, 65.0], [1.0, 0.25]))
+    if rng.random() > chance:
+        return None, 0.0
+    return _DYES[name], round(regrowth, 1)
 
 
 def _draw_style(
@@ -178,10 +224,21 @@ def draw_beard(
     """Facial hair for the share `probability` of adult men, none for everyone else."""
     wanted = rng.random() < probability
     thin = 0.6 * ancestry["asian"] + 0.15 * ancestry["african"]
-    young = np.clip((age - ADULT) / 8.0, 0.25, 1.0)
-    weights = np.array([0.42, 0.1 + 0.1 * thin, 0.18, 0.3 * (1.0 - 0.8 * thin) * young])
-    style = str(rng.choice(["stubble", "moustache", "goatee", "full"], p=weights / weights.sum()))
-    low, high = {"stubble": (0.5, 2.0), "moustache": (3.0, 9.0)}.get(style, (4.0, 24.0))
+    young = float(np.clip((age - ADULT) / 8.0, 0.25, 1.0))
+    # A thin or young growth shows as stubble or a moustache rather than as a whole beard.
+    whole = (1.0 - 0.8 * thin) * young
+    weights = {
+        "stubble": 0.40,
+        "moustache": 0.08 + 0.1 * thin,
+        "goatee": 0.14,
+        "boxed": 0.16 * whole,
+        "full": 0.18 * whole,
+        "long": 0.05 * whole,
+        "sideburns": 0.03,
+    }
+    share = np.array(list(weights.values()))
+    style = str(rng.choice(list(weights), p=share / share.sum()))
+    low, high = BEARDS[style].length_mm
     length = float(np.exp(rng.uniform(np.log(low), np.log(high))))
     density = rng.normal(0.72 - 0.3 * thin, 0.12) * (0.6 + 0.4 * young)
     seed = draw_seed(rng)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from assets_procedural.hair.beards import BEARDS
 from assets_procedural.hair.styles import STYLES
 from assets_procedural.outfit import tops
 from assets_procedural.people.face_shape import ANCESTRY_MEAN, ASYMMETRY, SPREAD
@@ -145,14 +146,20 @@ def test_age_shows(crowd: list[Person]) -> None:
     assert np.mean([p.hair.grey for p in old]) > 0.6
     assert np.mean([p.skin.wrinkles for p in old]) > np.mean([p.skin.wrinkles for p in young]) + 0.4
     men = [p for p in old if is_male(p)]
-    assert np.mean([p.hair.style == "bald" for p in men]) > 0.1
+    assert np.mean([p.hair.style in ("bald", "horseshoe", "shaved") for p in men]) > 0.1
+    receding = {
+        group: np.mean([p.hair.receding for p in of if is_male(p)])
+        for group, of in (("young", young), ("old", old))
+    }
+    assert receding["old"] > receding["young"] + 0.2
+    assert all(p.hair.receding == p.hair.thinning == 0 for p in old if not is_male(p))
 
 
 def test_beards_are_for_adult_men(crowd: list[Person]) -> None:
     bearded = [p for p in crowd if p.beard.style != "none"]
     assert len(bearded) > 250
     assert all(is_male(p) for p in bearded)
-    assert {p.beard.style for p in bearded} == {"stubble", "moustache", "goatee", "full"}
+    assert {p.beard.style for p in bearded} == set(BEARDS)
     assert all(p.beard.style == "none" for p in people(60, age=(16, 17.5), beard=1))
     assert all(p.beard.style != "none" for p in people(40, male=1, beard=1))
 
