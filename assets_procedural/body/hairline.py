@@ -37,7 +37,7 @@ def hairline_distance(points: np.ndarray, person: Person) -> np.ndarray:
     line += (male - 0.5) * 5 * np.exp(-(((lag - 40) / 12) ** 2))
     line += style.normal(0, 1.5) * np.exp(-((lag / 45) ** 2))
     # A widow's peak or a round middle.
-    line += style.normal(0.5, 1.8) * np.exp(-((lag / 9) ** 2)) * -1
+    line -= style.normal(0.3, 1.0) * np.exp(-((lag / 9) ** 2))
     far = person.hair.receding
     line += far * (34 * np.exp(-(((lag - 36) / 17) ** 2)) + 14 * np.exp(-((lag / 24) ** 2)))
     for wave in (5, 9, 16, 27, 43, 61):

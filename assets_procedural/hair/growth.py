@@ -19,7 +19,7 @@ from assets_procedural.person import Person
 _STEPS = 30
 CLOTHES_MARGIN = 0.015
 # Beside a parting hair stands no higher than its ridge: this much, and the skull's own curvature.
-_PART_HEIGHT, _PART_CURVATURE = 0.0028, 5.0
+_PART_HEIGHT, _PART_CURVATURE = 0.0038, 3.5
 
 
 def tie_points(style: Style, root_at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -44,11 +44,13 @@ def detailed(
     stop = np.where(baby, np.minimum(stop, short), stop)
     fly = (rng.random(count) < style.flyaway) & ~tail
 
+    wisp = np.zeros(count, int)
     if style.rope > 0:
-        strands, rope = roped(style, strands, side, rng)
-        tone = rng.normal(0, 0.3, style.ropes)[rope]
-    else:
-        strands, tone = _wisped(style, person, strands, side, root_at, baby | fly, tail, rng)
+        strands, wisp = roped(style, strands, side, rng)
+    elif style.wisps[0] > 0:
+        wisp = locks(strands[:, 0], side, count / style.wisps[0], rng)
+        strands = _wisped(style, person, strands, wisp, root_at, baby | fly, tail, rng)
+    tone = rng.normal(0, 0.3, count)[wisp]
     strands = resample(strands, stop, style.points)
     size, strength = style.lock
     leader = locks(strands[:, 0], side, size, rng)
@@ -72,9 +74,9 @@ def detailed(
         width = amplitude * (0.7 + 0.6 * person.hair.curl) * rng.uniform(0.7, 1.2, count)
         width = np.minimum(np.where(gathered, 0.15, 1) * width, 0.2 * reach)
         # A lock curls as one, with a little of every strand's own.
-        phase = 2.5 * tousled(strands[:, 0] / 3, rng)[:, 0] + rng.normal(0, 0.5, count)[leader]
-        phase += rng.normal(0, 0.25, count)
-        turn = turn * rng.uniform(0.8, 1.25, count)[leader]
+        phase = 2.5 * tousled(strands[:, 0] / 3, rng)[:, 0] + rng.normal(0, 0.4, count)[leader]
+        phase += rng.normal(0, 1.2, count)[wisp] + rng.normal(0, 0.2, count)
+        turn = turn * rng.uniform(0.75, 1.3, count)[wisp] * rng.uniform(0.9, 1.1, count)[leader]
         strands = coil(strands, width, reach / turn, phase, style.flat)
     radius = tapered(count, style.points, style.radius, style.radius * 0.3, rng)
     return strands, radius * np.where(baby, 0.6, 1)[:, None].astype(np.float32), tone
@@ -84,29 +86,29 @@ def _wisped(
     style: Style,
     person: Person,
     strands: np.ndarray,
-    side: np.ndarray,
+    wisp: np.ndarray,
     root_at: np.ndarray,
     loose: np.ndarray,
     tail: np.ndarray,
     rng: np.random.Generator,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Some hundred strands each fall together, off the head, with a length and tone of their own.
+) -> np.ndarray:
+    """The strands of each wisp fall together, off the head, on a way and to a length of their own.
 
-    `loose` (N,) are strands that keep out of it.
+    `wisp` (N,) is the leading strand of each strand's wisp, `loose` (N,) keep out of it.
     """
-    number, strength, height = style.wisps
+    _, strength, height = style.wisps
     count = len(strands)
-    if number == 0:
-        return strands, np.zeros(count)
-    leader = locks(strands[:, 0], side, count / number, rng)
     free = ~(loose | tail)
     near = near_parting(root_at, person) if style.parted else np.zeros(count)
-    pull = strength * rng.uniform(0.7, 1.3, count)[leader] * (1 - 0.7 * near) * free
-    strands = clump(strands, leader, pull)
-    out = unit((strands - strands[:, :1].mean(axis=0)) * np.array([1, 1, 0.35]))
-    rise = np.abs(rng.normal(0, height, count))[leader] * (1 - near) * free
+    pull = strength * rng.uniform(0.7, 1.3, count)[wisp] * (1 - 0.7 * near) * free
+    strands = clump(strands, wisp, pull)
+    leaders, mine = np.unique(wisp, return_inverse=True)
+    drift = wander(strands[leaders], 1.2 * height, rng) - strands[leaders]
     along = np.linspace(0, 1, strands.shape[1])
-    strands = strands + (rise[:, None] * smoothstep(0.08, 0.5, along))[..., None] * out
-    if not style.ties:
-        strands = resample(strands, (1 - 0.18 * rng.random(count))[leader], style.points)
-    return strands, rng.normal(0, 0.3, count)[leader]
+    out = unit((strands - strands[:, :1].mean(axis=0)) * np.array([1, 1, 0.35]))
+    rise = np.abs(rng.normal(0, height, len(leaders)))[mine, None] * smoothstep(0.08, 0.5, along)
+    share = ((1 - near) * free)[:, None, None]
+    strands = strands + share * (rise[..., None] * out + drift[mine])
+    if style.ties:
+        return strands
+    return resample(strands, (1 - 0.18 * rng.random(count))[wisp], style.points)

@@ -181,7 +181,7 @@ STYLES: dict[str, Style] = {
     ),
     "slick_back": Style(
         Popularity(0.25, 0.8, (1.0, 0.8, 0.2)),
-        combed_back, (0.09, 0.14), sides=0.5, **{**_SWEPT, "volume": 0.008, "under_hat": False},
+        combed_back, (0.09, 0.14), sides=0.4, **{**_SWEPT, "volume": 0.008, "under_hat": False},
     ),
     "undercut": Style(
         Popularity(0.15, 0.7, (1.0, 1.0, 0.2), _YOUNG),
@@ -191,7 +191,7 @@ STYLES: dict[str, Style] = {
     "curtains": Style(
         Popularity(0.15, 0.8, (1.0, 1.0, 0.2), _YOUNG),
         combed_from_parting, (0.11, 0.15), sides=0.4, parted=True, rise=0.006,
-        **{**_SWEPT, "reach": 0.06, "gravity": 0.4},
+        **{**_SWEPT, "reach": 0.045, "gravity": 0.5},
     ),
     "bowl": Style(
         Popularity(0.12, 0.3, (1.4, 0.7, 0.1), _YOUNG),
@@ -210,7 +210,7 @@ STYLES: dict[str, Style] = {
     ),
     "wavy_bob": Style(
         Popularity(1.1, 0.15, (0.4, 1.6, 0.3), _FAVOURED_WITH_AGE),
-        combed_from_parting, cut=(0.64, 0.59), wave=(0.008, 0.075), flat=0.3, tousle=0.3,
+        combed_from_parting, cut=(0.64, 0.59), wave=(0.010, 0.075), flat=0.3, tousle=0.3,
         **_FALLING,
     ),
     "fringe_bob": Style(
@@ -238,7 +238,7 @@ STYLES: dict[str, Style] = {
     ),
     "long_wavy": Style(
         Popularity(1.6, 0.25, (0.5, 1.8, 0.3), _RARER_WITH_AGE),
-        combed_from_parting, cut=(0.56, 0.46), wave=(0.011, 0.085), flat=0.35, tousle=0.2,
+        combed_from_parting, cut=(0.56, 0.46), wave=(0.014, 0.085), flat=0.35, tousle=0.2,
         **{**_FALLING, "volume": 0.024},
     ),
     "long_curly": Style(

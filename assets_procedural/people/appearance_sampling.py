@@ -113,7 +113,7 @@ def draw_hair(
         melanin, redness = melanin * rng.uniform(0.5, 1.0), rng.uniform(0.2, 0.7)
     dye, regrowth_mm = _draw_dye(rng, age, dyed)
     # Ends bleached on purpose: balayage.
-    tips = rng.uniform(0.4, 1.0) if dyed and not male and rng.random() < 0.3 else 0.0
+    tips = rng.uniform(0.3, 0.8) if dyed and not male and rng.random() < 0.25 else 0.0
     onset = rng.normal(47.0 + 4.0 * (1.0 - ancestry["caucasian"]), 8.0)
     grey = 1.0 / (1.0 + np.exp(-(age - onset - 8.0) / 5.5))
     grey = 0.0 if grey < 0.03 or (dyed and age < 75.0) else grey

@@ -28,7 +28,7 @@ def strand_colours(piece: StrandPiece) -> np.ndarray:
     # Concentration of Chiang et al. 2016, eq. 7-8 with the look-up -ln(1 - m).
     amount = -np.log(np.maximum(1 - np.clip(p["melanin"], 0, 0.995), 1e-4))
     amount = amount * (0.9 + 0.2 * _fraction(chance * 7.0)) * p.get("tone", 1.0)
-    bleached = np.asarray(p.get("bleached", 0.0))[..., None] * along**1.5
+    bleached = np.asarray(p.get("bleached", 0.0))[..., None] * along**2
     amount = (amount[:, None] * (1 - 0.85 * bleached))[..., None]
     sigma = amount * ((1 - p["redness"]) * _EUMELANIN + p["redness"] * _PHEOMELANIN)
     roughness = p.get("radial_roughness", 0.45)

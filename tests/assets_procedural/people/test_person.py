@@ -51,7 +51,9 @@ def test_deterministic_and_survives_json() -> None:
 
 
 def test_all_values_are_in_range(crowd: list[Person]) -> None:
+    dyed = {"dye", "regrowth_mm"}
     for person in crowd:
+        assert 0.0 <= person.hair.regrowth_mm <= 60.0
         assert 18.0 <= person.age_years <= 85.0
         assert all(0.0 <= v <= 1.0 for v in person.phenotypes.values())
         assert all(-1.0 <= v <= 1.0 for v in person.shape.values())
@@ -59,7 +61,8 @@ def test_all_values_are_in_range(crowd: list[Person]) -> None:
         assert sum(person.phenotypes[p] for p in POLES) == pytest.approx(1.0, abs=1e-3)
         unit = [
             *(person.skin.model_dump(exclude={"moles", "seed"}).values()),
-            *(person.hair.model_dump(exclude={"style", "parting", "seed"}).values()),
+            *(person.hair.model_dump(exclude={"style", "parting", *dyed, "seed"}).values()),
+            *(person.hair.dye or ()),
             person.eyes.limbus, person.eyes.redness, person.brows.thickness, person.brows.density,
             person.beard.density,
         ]  # fmt: skip
