@@ -85,9 +85,9 @@ def skin_fields(person: Person, model: HeadModel) -> SkinFields:
     colour *= 1 - 0.28 * shadow[:, None] * np.array([1.0, 0.92, 0.80])
 
     # Hair stubble within the skin: without it, partings and short cuts show a bare scalp.
-    inside = np.clip(hairline_distance(model.template, person) / 12, 0, 1) * zone["scalp"]
+    inside = np.clip(hairline_distance(model.template, person) / 7, 0, 1) * zone["scalp"]
     inside = inside * (1 - 0.9 * bare_crown(model.template, person))
-    cover = inside * (0.25 if person.hair.style == "bald" else 0.7) * (1 - 0.6 * person.hair.grey)
+    cover = inside * (0.25 if person.hair.style == "bald" else 0.8) * (1 - 0.6 * person.hair.grey)
     colour *= 1 - (cover * (0.35 + 0.45 * person.hair.melanin))[:, None]
 
     roughness = 0.52 - 0.16 * skin.oiliness * zone["t_zone"] - 0.04 * skin.oiliness

@@ -63,7 +63,8 @@ def detailed(
         if style.tail in ("bun", "braid", "puff"):
             pull = np.where(tail, 0, pull)
         strands = clump(strands, leader, pull)
-    stray = style.stray * rng.uniform(0.3, 1, count) * np.where(fly, 2.5, 1)
+    # A hair strays a little within its lock; only flyaways leave it.
+    stray = style.stray * rng.uniform(0.3, 1, count) * np.where(fly, 2.2, 0.3)
     stray = np.where(baby, np.maximum(0.5 * stray, 0.15 * short * reach), stray)
     if style.tail in ("bun", "braid"):
         stray = np.where(tail & ~fly, stray * 0.4, stray)

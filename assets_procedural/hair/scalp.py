@@ -43,7 +43,7 @@ def scalp_density(person: Person, style: Style, ears: np.ndarray) -> Callable:
         grown = 0.05 * smoothstep(-7, -3, inside) + 0.95 * smoothstep(-4.5, 5, inside)
         grown = grown * smoothstep(0.7, 0.35, roots.of(ears))
         if style.volume > 0:
-            grown = grown * (0.3 + 0.7 * _bare_risk(points, inside, style, person))
+            grown = grown * (0.22 + 0.78 * _bare_risk(points, inside, style, person))
         if style.rows:
             place, _ = row_offset(points, style.rows)
             grown = grown * smoothstep(0.5, 0.34, np.abs(place))

@@ -75,7 +75,7 @@ def clump(strands: np.ndarray, leader: np.ndarray, strength: np.ndarray | float)
     A strand moves by a third of its length at most, so that short hair does not bare the skin.
     """
     along = np.linspace(0, 1, strands.shape[1])
-    profile = along**0.8 * (1 - 0.2 * along)
+    profile = 1 - np.exp(-4 * along)
     pull = np.broadcast_to(np.asarray(strength), (len(strands),))[:, None] * profile
     offset = (strands[leader] - strands) * np.minimum(pull, 0.96)[..., None]
     reach = np.linalg.norm(np.diff(strands, axis=1), axis=2).sum(axis=1)

@@ -71,8 +71,8 @@ class Style:
     tousle: float = 0.0
     wave: tuple[float, float] = (0.0, 0.05)
     flat: float = 0.3
-    lock: tuple[float, float] = (14.0, 0.9)
-    wisps: tuple[int, float, float] = (160, 0.75, 0.0045)
+    lock: tuple[float, float] = (18.0, 0.85)
+    wisps: tuple[int, float, float] = (130, 0.85, 0.005)
     stray: float = 0.004
     flyaway: float = 0.06
     parted: bool = False
@@ -172,7 +172,7 @@ STYLES: dict[str, Style] = {
     ),
     "side_part": Style(
         Popularity(0.3, 1.6, (1.2, 1.0, 0.1), over_years((30, 0.8), (60, 1.4))),
-        combed_across, (0.06, 0.085), sides=0.3, rise=0.008, parted=True, aside=0.6,
+        combed_across, (0.06, 0.085), sides=0.3, rise=0.003, parted=True, aside=0.6,
         **_SWEPT,
     ),
     "quiff": Style(
@@ -185,7 +185,7 @@ STYLES: dict[str, Style] = {
     ),
     "undercut": Style(
         Popularity(0.15, 0.7, (1.0, 1.0, 0.2), _YOUNG),
-        combed_across, (0.09, 0.13), sides=0.06, fade=_SKIN_FADE, rise=0.012, parted=True,
+        combed_across, (0.09, 0.13), sides=0.06, fade=_SKIN_FADE, rise=0.008, parted=True,
         aside=0.8, **_SWEPT,
     ),
     "curtains": Style(
@@ -200,7 +200,7 @@ STYLES: dict[str, Style] = {
     ),
     "pixie": Style(
         Popularity(0.9, 0.1, (1.0, 1.0, 0.6), _FAVOURED_WITH_AGE),
-        combed_across, (0.07, 0.10), sides=0.5, parted=True, aside=0.5, rise=0.006,
+        combed_across, (0.07, 0.10), sides=0.5, parted=True, aside=0.5, rise=0.003,
         **{**_SWEPT, "reach": 0.07, "gravity": 0.5, "tousle": 0.4},
     ),
     # Falling
