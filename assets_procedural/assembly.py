@@ -7,7 +7,7 @@ import numpy as np
 from assets_procedural.body import eyes, mouth
 from assets_procedural.body.head import Identity
 from assets_procedural.body.piece import Piece
-from assets_procedural.hair import facial_hair, scalp_hair
+from assets_procedural.hair import beards, facial_hair, scalp_hair
 from assets_procedural.outfit import accessories, tops
 from assets_procedural.person import Person
 
@@ -25,5 +25,5 @@ def pieces(person: Person, identity: Identity) -> list[Piece]:
         *scalp_hair.scalp_hair(person, identity, scalp),
         *facial_hair.brows(person, identity, brows),
         *facial_hair.lashes(person, identity, brows),
-        *facial_hair.beard(person, identity, beard),
+        *beards.beard(person, identity, beard),
     ]

@@ -47,9 +47,12 @@ class Eyes(Parameters):
 
 
 class Hair(Parameters):
-    """`parting` runs from -1 (subject's right) over 0 (centre) to 1 (left); others in [0, 1].
+    """Texture, colour, cut and loss of scalp hair; without a unit in [0, 1].
 
-    `colour` is the name (black, brown, blond, red or grey) of what the pigments look like.
+    `parting` runs from -1 (subject's right) over 0 (centre) to 1 (left). `receding` is how far the
+    hairline has gone back, `thinning` how bare the crown is, up to a horseshoe of hair. `dye`
+    colours the hair but for `regrowth_mm` at the root; `tips` bleaches its ends.
+    `colour` is the name of what the pigments look like: black, brown, blond, red or grey.
     """
 
     style: str = "short"
@@ -61,6 +64,11 @@ class Hair(Parameters):
     parting: float = 0.0
     curl: float = 0.0
     density: float = 0.8
+    receding: float = 0.0
+    thinning: float = 0.0
+    dye: Colour | None = None
+    regrowth_mm: float = 0.0
+    tips: float = 0.0
     seed: int = 0
 
 
@@ -84,7 +92,7 @@ class Brows(Parameters):
 
 
 class Beard(Parameters):
-    """`style`: none, stubble, moustache, goatee or full."""
+    """`style`: none, or a name of `beards.BEARDS`: stubble, moustache, goatee, full …"""
 
     style: str = "none"
     length_mm: float = 1.0

@@ -1,4 +1,4 @@
-"""The hairline: where the scalp begins, and its recession with age.
+"""The hairline: where the scalp begins, and its recession.
 
 Points and regions are in template space (see `roots`).
 """
@@ -10,6 +10,7 @@ import numpy as np
 from assets_procedural.mesh.vectors import arctan2, smoothstep
 from assets_procedural.person import Person
 
+_CROWN = np.array([0.004, 0.020, 0.846])
 SKULL_CENTRE = np.array([0.0, -0.05, 0.745])
 """(3,) metres, template space: hairline and combing are measured about it."""
 
@@ -24,14 +25,6 @@ _HAIRLINE = np.array(
 )  # fmt: skip
 
 
-def recession(person: Person) -> float:
-    """How far the front hairline has receded, in [0, 1]: in older men, each to his own degree."""
-    male = 1 - person.phenotypes.get("gender", 0.5)
-    chance = np.random.default_rng(person.hair.seed).random()
-    aged = smoothstep(28, 75, np.asarray(person.age_years))
-    return float(np.clip(male * 1.4 - 0.4, 0, 1) * aged * (0.15 + 0.85 * chance**1.5))
-
-
 def hairline_distance(points: np.ndarray, person: Person) -> np.ndarray:
     """Degrees (R,) by which template points lie inside the hairline; negative outside."""
     offset = points - SKULL_CENTRE
@@ -43,9 +36,26 @@ def hairline_distance(points: np.ndarray, person: Person) -> np.ndarray:
     line = np.interp(lag, _HAIRLINE[:, 0], _HAIRLINE[:, 1])
     line += (male - 0.5) * 5 * np.exp(-(((lag - 40) / 12) ** 2))
     line += style.normal(0, 1.5) * np.exp(-((lag / 45) ** 2))
-    far = recession(person)
+    # A widow's peak or a round middle.
+    line -= style.normal(0.3, 1.0) * np.exp(-((lag / 9) ** 2))
+    far = person.hair.receding
     line += far * (34 * np.exp(-(((lag - 36) / 17) ** 2)) + 14 * np.exp(-((lag / 24) ** 2)))
-    for wave in (5, 9, 16, 27):
-        amplitude, phase = style.normal(0, 2.2 / np.sqrt(wave)), style.random() * 2 * np.pi
+    for wave in (5, 9, 16, 27, 43, 61):
+        amplitude, phase = style.normal(0, 2.4 / np.sqrt(wave)), style.random() * 2 * np.pi
         line += amplitude * np.sin(np.radians(azimuth) * wave + phase)
     return elevation - line
+
+
+def bare_crown(points: np.ndarray, person: Person) -> np.ndarray:
+    """The share (R,) of hair that template points have lost to baldness of the crown.
+
+    A bare spot at the whorl that grows with `Hair.thinning` until only a horseshoe is left.
+    """
+    lost = person.hair.thinning
+    if lost == 0:
+        return np.zeros(len(points))
+    away = np.linalg.norm((points - _CROWN) * [1.0, 1.0, 1.4], axis=1)
+    size = 0.020 + 0.085 * lost
+    spot = smoothstep(size + 0.022, size - 0.014, away)
+    top = smoothstep(0.782, 0.812, points[:, 2] - 0.15 * np.maximum(points[:, 1], 0))
+    return 0.97 * np.maximum(min(1.0, 1.6 * lost) * spot, smoothstep(0.6, 1.0, lost) * top)

@@ -7,8 +7,8 @@ is called with the posed bust for the picture and with the canonical bust for th
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -39,15 +39,36 @@ class MeshPiece:
     hidden_from_labels: bool = False
 
 
+class StrandPlace(Protocol):
+    """Where strands are: `place(bust)` are (N, K, 3), `place[index]` is the place of some."""
+
+    def __call__(self, bust: Bust) -> np.ndarray: ...
+
+    def __getitem__(self, index: np.ndarray) -> StrandPlace: ...
+
+
 @dataclass(frozen=True)
 class StrandPiece:
-    """N strands of K points each, root first; `radius` (N, K) in metres."""
+    """N strands of K points each, root first and in random order; `radius` (N, K) in metres.
+
+    Arrays among `parameters` are per strand, (N, ...).
+    """
 
     name: str
     part: int
     radius: np.ndarray
-    place: Callable[[Bust], np.ndarray]
+    place: StrandPlace
     parameters: dict[str, Any] = field(default_factory=dict)
+
+    def thinned(self, share: float, wider: float) -> StrandPiece:
+        """A `share` in (0, 1] of the strands, evenly chosen, `wider` times as thick."""
+        kept = np.flatnonzero(np.diff(np.floor(np.arange(len(self.radius) + 1) * share)))
+        parameters = {
+            name: value[kept] if isinstance(value, np.ndarray) else value
+            for name, value in self.parameters.items()
+        }
+        radius = self.radius[kept] * np.float32(wider)
+        return replace(self, radius=radius, place=self.place[kept], parameters=parameters)
 
 
 Piece = MeshPiece | StrandPiece

@@ -126,6 +126,9 @@ class SkinBound:
         local = np.einsum("nji,nkj->nki", roots.frames(rest), offset)
         return SkinBound(roots, local.astype(np.float32))
 
+    def __getitem__(self, index: np.ndarray) -> SkinBound:
+        return SkinBound(self.roots[index], self.local[index])
+
     def __call__(self, bust: Bust) -> np.ndarray:
         frames = self.roots.frames(bust.vertices).astype(np.float32)
         roots = self.roots.of(bust.vertices).astype(np.float32)

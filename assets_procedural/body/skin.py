@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from assets_procedural.body.hairline import hairline_distance
+from assets_procedural.body.hairline import bare_crown, hairline_distance
 from assets_procedural.body.head import HeadModel
 from assets_procedural.body.regions import fields
 from assets_procedural.mesh.vectors import smoothstep
@@ -98,8 +98,9 @@ def skin_fields(person: Person, model: HeadModel) -> SkinFields:
     colour *= 1 - 0.36 * shadow[:, None] * np.array([1.0, 0.90, 0.74])
 
     # Hair stubble within the skin: without it, partings and short cuts show a bare scalp.
-    inside = np.clip(hairline_distance(model.template, person) / 6, 0, 1) * zone["scalp"]
-    cover = inside * (0.25 if person.hair.style == "bald" else 0.7) * (1 - 0.6 * person.hair.grey)
+    inside = np.clip(hairline_distance(model.template, person) / 7, 0, 1) * zone["scalp"]
+    inside = inside * (1 - 0.9 * bare_crown(model.template, person))
+    cover = inside * (0.25 if person.hair.style == "bald" else 0.8) * (1 - 0.6 * person.hair.grey)
     colour *= 1 - (cover * (0.35 + 0.45 * person.hair.melanin))[:, None]
 
     roughness = 0.53 - 0.14 * skin.oiliness * zone["t_zone"] - 0.04 * skin.oiliness

@@ -5,7 +5,7 @@ Symbols: N strands, G guides, K points a strand, R points. Metres, the frame of 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -83,6 +83,11 @@ class Draped:
     weights: np.ndarray
     chin: float
     margin: float
+
+    def __getitem__(self, index: np.ndarray) -> Draped:
+        return replace(
+            self, strands=self.strands[index], ids=self.ids[index], weights=self.weights[index]
+        )
 
     @cached_property
     def _low(self) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Hair of the face: brows, lashes and beards, on strands that ride on the moving skin.
+"""Brows and lashes, on strands that ride on the moving skin.
 
 Regions are drawn in template space (see `roots`) and asked for at every root, not at vertices, so
 that their edges are as fine as the hairs. Directions are in the rest frame; the subject's left half
@@ -7,21 +7,18 @@ is described and the right one mirrored.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from assets_procedural.body.hairline import hairline_distance
 from assets_procedural.body.head import Identity
 from assets_procedural.body.piece import StrandPiece
 from assets_procedural.body.roots import Roots, SkinBound, sample_roots
 from assets_procedural.conventions.parts import Part
-from assets_procedural.hair.strands import clump, colouring, locks, tapered, wander
-from assets_procedural.mesh.vectors import arctan2, smoothstep, unit
+from assets_procedural.hair.strands import clump, locks, tapered, wander
+from assets_procedural.hair.tones import colouring
+from assets_procedural.mesh.vectors import smoothstep, unit
 from assets_procedural.person import Person
-
-BEARD_STYLES = ("none", "stubble", "moustache", "goatee", "full")
 
 # Brow: distance from the middle (m) → height of its axis in template space, half width.
 _BROW_X = np.array([0.009, 0.016, 0.024, 0.032, 0.039, 0.046, 0.054])
@@ -58,10 +55,6 @@ BROWS = {
     "thin": BrowStyle(arch=1.2, width=0.55, density=0.85, length=0.8, unruly=0.7),
 }
 """Families of brows, which people of any job may have."""
-
-# Beard: azimuth about the skull's axis (degrees) → upper edge in template space.
-_CHEEK_AZIMUTH = np.array([0, 14, 22, 32, 45, 58, 66, 72, 82])
-_CHEEK_HEIGHT = np.array([0.684, 0.683, 0.672, 0.663, 0.664, 0.674, 0.690, 0.712, 0.72])
 
 
 def brows(person: Person, identity: Identity, rng: np.random.Generator) -> list[StrandPiece]:
@@ -196,98 +189,6 @@ def lashes(person: Person, identity: Identity, rng: np.random.Generator) -> list
     shading = colouring(melanin, person.hair.redness * 0.3, 0.0, count, rng, 0.4)
     bound = SkinBound.at_rest(identity, roots, strands)
     return [StrandPiece("lashes", Part.SKIN, radius, bound, shading)]
-
-
-def beard(person: Person, identity: Identity, rng: np.random.Generator) -> list[StrandPiece]:
-    """The beard, no piece where there is none.
-
-    Raises:
-        KeyError: `person.beard.style` is not in `BEARD_STYLES`.
-    """
-    style = person.beard.style
-    if style not in BEARD_STYLES:
-        raise KeyError(f"no beard style named {style!r}; known: {', '.join(BEARD_STYLES)}")
-    if style == "none":
-        return []
-    density = _beard_density(person, identity)
-    counts = {"stubble": 45000, "moustache": 2600, "goatee": 5200, "full": 16000}
-    count = int(counts[style] * (0.5 + 0.5 * person.beard.density))
-    roots = sample_roots(identity, density, count, rng)
-    at = roots.of(identity.model.template)
-    count = len(at)
-    full = np.full(count, person.beard.length_mm * 1e-3)
-    if style == "stubble":
-        full = np.clip(full, 0.001, 0.002)
-    # Shorter towards the edges of the beard and under the lip; a moustache stays off the mouth.
-    edge = smoothstep(0, 0.9, density(at, roots))
-    length = full * (0.35 + 0.65 * edge) * rng.uniform(0.6, 1.1, count)
-    lip = smoothstep(0.668, 0.674, at[:, 2]) * (np.abs(at[:, 0]) < 0.035)
-    length = np.where(lip > 0, np.minimum(length, 0.009), length)
-    points = 4 if style == "stubble" else 8
-
-    side = np.sign(at[:, 0])
-    outward = np.clip(np.abs(at[:, 0]) / 0.02, 0.15, 1.0)
-    below = smoothstep(0.668, 0.64, at[:, 2])
-    flow = np.stack([side * outward * (0.9 - 0.6 * below), -0.25 * below, -1 + 0.25 * lip], axis=1)
-    flow = unit(flow + rng.normal(0, 0.22, (count, 3)))
-    strands = _lying(identity, roots, flow, length, points, lift=0.5, hug=0.0)
-    if style != "stubble":
-        strands = _locked(strands, 14, 0.35, rng)
-        strands = wander(strands, 0.12 * length, rng)
-    root = 1e-4 if style == "stubble" else 5.5e-5
-    radius = tapered(count, points, root, 0.4 * root, rng)
-    grey = float(np.clip(person.hair.grey * 1.15, 0, 1))
-    shading = colouring(
-        person.hair.melanin, min(person.hair.redness * 1.3 + 0.1, 1), grey, count, rng, 0.4
-    )
-    bound = SkinBound.at_rest(identity, roots, strands)
-    return [StrandPiece("beard", Part.BEARD, radius, bound, shading)]
-
-
-def _beard_density(person: Person, identity: Identity) -> Callable:
-    style = person.beard.style
-    masks = identity.model.masks
-    normals = identity.neutral.normals
-    look = np.random.default_rng(person.beard.seed)
-    drop = look.normal(0, 0.003)
-    waves = look.normal(0, 0.0012, 4)
-    phases = look.random(4) * 6.28
-
-    def density(points: np.ndarray, roots: Roots) -> np.ndarray:
-        x, y, z = np.abs(points[:, 0]), points[:, 1], points[:, 2]
-        azimuth = np.degrees(arctan2(x, -(y + 0.05)))
-        signed = np.radians(azimuth) * np.sign(points[:, 0])
-        ragged = sum(
-            w * np.sin(signed * (3 + 3 * k) + p)
-            for k, (w, p) in enumerate(zip(waves, phases, strict=True))
-        )
-        cheek = np.interp(azimuth, _CHEEK_AZIMUTH, _CHEEK_HEIGHT) + ragged
-        cheek = cheek + drop * smoothstep(20, 40, azimuth)
-        neck = 0.612 + 0.85 * np.maximum(y + 0.075, 0) + ragged
-        skin = smoothstep(0.35, 0.1, roots.of(masks["lips"]))
-        skin = skin * smoothstep(0.3, 0.05, roots.of(masks["inside-mouth"]))
-        skin = skin * smoothstep(0.5, 0.1, roots.of(masks["ears"])) * (y < -0.035)
-        skin = skin * ((z < 0.66) | (hairline_distance(points, person) < 4))
-        # Not inside the nostrils nor the mouth: hair grows on skin that faces away from the head.
-        facing = (roots.of(normals) * (points - [0, -0.06, 0.67])).sum(-1) > 0
-        below = smoothstep(0.007, -0.007, z - cheek)
-        above_neck = smoothstep(-0.008, 0.008, z - neck)
-        whole = below * above_neck
-        moustache = (z > 0.6665) * smoothstep(0.034, 0.027, x) * smoothstep(0.6865, 0.681, z)
-        moustache = moustache * (0.75 + 0.25 * smoothstep(0.001, 0.005, x)) * (y < -0.12)
-        # The gaps beside the soul patch.
-        lower = smoothstep(0.004, 0.008, np.abs(x - 0.0135)) + (z < 0.643) + (z > 0.658)
-        chin = whole * smoothstep(0.034, 0.026, x) * (y < -0.085) * (z < 0.667)
-        if style == "moustache":
-            grown = moustache
-        elif style == "goatee":
-            grown = np.maximum(chin * np.clip(lower, 0, 1), moustache)
-        else:
-            grown = np.maximum(whole * np.clip(lower, 0.15, 1) * (z < 0.69 + 0.03 * (x > 0.05)), 0)
-            grown = np.where(z > 0.6665, np.where(x < 0.03, moustache, grown), grown)
-        return grown * skin * facing
-
-    return density
 
 
 def _locked(

@@ -1,81 +1,19 @@
-"""What makes guides a head of hair: tails and buns, locks, curls, strays and baby hair."""
+"""What makes guides a head of hair: wisps, locks, curls, strays and baby hair.
+
+Symbols: N strands, K points a strand. Metres.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
-from assets_procedural.body.hairline import SKULL_CENTRE, hairline_distance
-from assets_procedural.body.roots import HeadFrame
+from assets_procedural.body.hairline import hairline_distance
+from assets_procedural.hair.braiding import roped
 from assets_procedural.hair.scalp import near_parting
-from assets_procedural.hair.strands import (
-    clump,
-    coil,
-    locks,
-    resample,
-    sideways,
-    spread,
-    tapered,
-    tousled,
-    wander,
-)
+from assets_procedural.hair.strands import clump, coil, locks, resample, tapered, tousled, wander
 from assets_procedural.hair.styles import Style
 from assets_procedural.mesh.vectors import smoothstep, unit
 from assets_procedural.person import Person
-
-
-def tied(
-    style: Style,
-    person: Person,
-    frame: HeadFrame,
-    strands: np.ndarray,
-    guides: np.ndarray,
-    ids: np.ndarray,
-    weights: np.ndarray,
-    rng: np.random.Generator,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Append what the gathered hair becomes: a tail or a bun, with guides of its own."""
-    count, points = int(0.35 * len(strands)), strands.shape[1]
-    tie = frame.to_rest(np.asarray(style.tie))
-    out = unit(tie - frame.to_rest(SKULL_CENTRE))
-    along = np.linspace(0, 1, points)
-    disc = rng.normal(size=(count, 3))
-    disc = unit(disc - out * (disc @ out)[:, None]) * np.sqrt(rng.random((count, 1)))
-    if style.tail == "ponytail":
-        length = 0.16 + 0.22 * person.hair.length
-        # A falling arc: thrown off the skull, then down.
-        path = np.stack(
-            [0 * along, 0.022 * (1 - np.exp(-along * length / 0.03)), 0 * along], axis=1
-        )
-        path += out * (0.012 * (1 - np.exp(-along * length / 0.02)))[:, None]
-        path[:, 2] -= np.maximum(along * length - 0.03 * (1 - np.exp(-along * length / 0.03)), 0)
-        width = 0.009 + 0.02 * np.sin(np.pi * np.clip(along * 0.85 + 0.05, 0, 1)) ** 0.8
-        fresh = tie + path + disc[:, None] * width[:, None]
-        centre = (tie + path)[None]
-    else:
-        size = 0.030 + 0.012 * person.hair.length
-        middle = tie + out * size * 0.75
-        across = unit(np.cross(out, [1.0, 0, 0]))
-        other = np.cross(out, across)
-        # Strands wind around the axis of the bun on a flattened, bulging torus.
-        start = rng.random(count) * 2 * np.pi
-        tilt = rng.random(count) * 2 * np.pi
-        turn = start[:, None] + along * rng.uniform(1.2, 2.6, (count, 1))
-        level = tilt[:, None] + along * rng.uniform(0.4, 1.2, (count, 1))
-        tube = size * 0.5 * np.sqrt(rng.uniform(0.55, 1, (count, 1)))
-        ring = size * 0.52 + tube * np.cos(level)
-        fresh = middle + out * (tube * np.sin(level) * 0.9)[..., None]
-        fresh = fresh + ring[..., None] * (
-            np.cos(turn)[..., None] * across + np.sin(turn)[..., None] * other
-        )
-        centre = np.broadcast_to(middle, (1, points, 3))
-    fresh_ids = np.full((count, ids.shape[1]), len(guides))
-    fresh_weights = np.full((count, ids.shape[1]), 1 / ids.shape[1])
-    return (
-        np.concatenate([strands, fresh]),
-        np.concatenate([guides, centre]),
-        np.concatenate([ids, fresh_ids]),
-        np.concatenate([weights, fresh_weights]),
-    )
 
 
 def detailed(
@@ -84,65 +22,94 @@ def detailed(
     strands: np.ndarray,
     side: np.ndarray,
     root_at: np.ndarray,
+    tail: np.ndarray,
     rng: np.random.Generator,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Children with their own lengths, locks, curls and strays, and their radii."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Children with their own lengths, locks, curls and strays.
+
+    `side` (N,) are what strands do not mix across, `root_at` (N, 3) template points, `tail` (N,)
+    whether a strand is part of a tail. Returns strands (N, K, 3), radii (N, K) and the logarithm
+    (N,) of the strands' tones.
+    """
     count = len(strands)
-    tail = side == 0
-    edge = smoothstep(8, 0, hairline_distance(root_at, person)) * ~tail
-    stop = 1 - 0.25 * rng.random(count) ** 2
-    if style.tie is not None:
-        stop = np.where(tail, stop, 1 - 0.7 * (rng.random(count) < 0.04) * rng.random(count))
-    baby = rng.random(count) < 0.5 * edge
-    stop = np.where(baby, stop * rng.uniform(0.12, 0.6, count), stop)
-    strands = resample(strands, stop, style.points)
+    inside = hairline_distance(root_at, person)
+    stop = 1 - 0.22 * rng.random(count) ** 2
+    gathered = ~tail & bool(style.ties)
+    stop = np.where(tail & (style.tail == "ponytail"), rng.uniform(0.6, 1, count), stop)
+    stop = np.where(gathered, 1 - 0.7 * (rng.random(count) < 0.05) * rng.random(count), stop)
+    # Baby hair: the outermost hairs are short, fine and go their own ways.
+    baby = (rng.random(count) < smoothstep(2, -4, inside)) & ~tail
+    reach = np.linalg.norm(np.diff(strands, axis=1), axis=2).sum(axis=1)
+    short = rng.uniform(0.004, 0.022, count) / np.maximum(reach, 1e-3)
+    stop = np.where(baby, np.minimum(stop, short), stop)
+    fly = (rng.random(count) < style.flyaway) & ~tail
+
+    wisp = np.zeros(count, int)
     if style.rope > 0:
-        strands = _roped(strands, side, style.rope, rng)
+        strands, wisp = roped(style, strands, side, rng)
+    elif style.wisps[0] > 0:
+        wisp = locks(strands[:, 0], side, count / style.wisps[0], rng)
+        strands = _wisped(style, person, strands, wisp, root_at, baby | fly, tail, rng)
+    tone = rng.normal(0, 0.3, count)[wisp]
+    strands = resample(strands, stop, style.points)
     size, strength = style.lock
     leader = locks(strands[:, 0], side, size, rng)
+    tone = tone + rng.normal(0, 0.35, count)[leader] + rng.normal(0, 0.15, count)
     if strength > 0:
-        pull = strength * rng.uniform(0.5, 1.2, count)
+        pull = strength * rng.uniform(0.6, 1.15, count) * ~(baby | fly)
         if style.parted:
             # Locks at a parting would tear it open.
             pull = pull * (1 - 0.8 * near_parting(root_at, person))
-        if style.tail == "bun":
+        if style.tail in ("bun", "braid", "puff"):
             pull = np.where(tail, 0, pull)
-        strands = clump(strands, locks(strands[:, 0], side, size / 6, rng), 0.6 * pull)
         strands = clump(strands, leader, pull)
-    fly = rng.random(count) < style.flyaway
-    stray = (
-        style.stray * rng.uniform(0.3, 1, count) * np.where(fly, 3.5, 1) * np.where(baby, 0.6, 1)
-    )
-    if style.tail == "bun":
-        stray = np.where(tail & ~fly, stray * 0.5, stray)
+    # A hair strays a little within its lock; only flyaways leave it.
+    stray = style.stray * rng.uniform(0.3, 1, count) * np.where(fly, 2.2, 0.3)
+    stray = np.where(baby, np.maximum(0.5 * stray, 0.15 * short * reach), stray)
+    if style.tail in ("bun", "braid"):
+        stray = np.where(tail & ~fly, stray * 0.4, stray)
     strands = wander(strands, stray, rng)
     amplitude, turn = style.wave
     if amplitude > 0:
         reach = np.linalg.norm(np.diff(strands, axis=1), axis=2).sum(axis=1)
         width = amplitude * (0.7 + 0.6 * person.hair.curl) * rng.uniform(0.7, 1.2, count)
+        width = np.minimum(np.where(gathered, 0.15, 1) * width, 0.2 * reach)
         # A lock curls as one, with a little of every strand's own.
-        phase = 2.5 * tousled(strands[:, 0] / 3, rng)[:, 0] + rng.normal(0, 0.5, count)[leader]
-        phase += rng.normal(0, 0.25, count)
-        turn = turn * rng.uniform(0.8, 1.25, count)[leader]
+        phase = 2.5 * tousled(strands[:, 0] / 3, rng)[:, 0] + rng.normal(0, 0.4, count)[leader]
+        phase += rng.normal(0, 1.2, count)[wisp] + rng.normal(0, 0.2, count)
+        turn = turn * rng.uniform(0.75, 1.3, count)[wisp] * rng.uniform(0.9, 1.1, count)[leader]
         strands = coil(strands, width, reach / turn, phase, style.flat)
     radius = tapered(count, style.points, style.radius, style.radius * 0.3, rng)
-    return strands, radius * np.where(baby, 0.65, 1)[:, None].astype(np.float32)
+    return strands, radius * np.where(baby, 0.6, 1)[:, None].astype(np.float32), tone
 
 
-def _roped(
-    strands: np.ndarray, side: np.ndarray, radius: float, rng: np.random.Generator
+def _wisped(
+    style: Style,
+    person: Person,
+    strands: np.ndarray,
+    wisp: np.ndarray,
+    root_at: np.ndarray,
+    loose: np.ndarray,
+    tail: np.ndarray,
+    rng: np.random.Generator,
 ) -> np.ndarray:
-    """Locs: strands become the fibres of ropes around some of them."""
-    centres = rng.permutation(len(strands))[:260]
-    ids, _ = spread(strands[centres, 0], side[centres], strands[:, 0], side, neighbours=1)
-    core = strands[centres[ids[:, 0]]]
-    across, other = sideways(core)
-    count, points = strands.shape[:2]
-    along = np.linspace(0, 1, points)
-    angle = rng.random(count)[:, None] * 2 * np.pi + along * rng.normal(0, 3, (count, 1))
-    reach = radius * np.sqrt(rng.uniform(0.5, 1, (count, 1))) * (1 - 0.35 * along**3)
-    rope = core + reach[..., None] * (
-        np.cos(angle)[..., None] * across + np.sin(angle)[..., None] * other
-    )
-    blend = smoothstep(0, 0.08, along)[:, None]
-    return strands * (1 - blend) + rope * blend
+    """The strands of each wisp fall together, off the head, on a way and to a length of their own.
+
+    `wisp` (N,) is the leading strand of each strand's wisp, `loose` (N,) keep out of it.
+    """
+    _, strength, height = style.wisps
+    count = len(strands)
+    free = ~(loose | tail)
+    near = near_parting(root_at, person) if style.parted else np.zeros(count)
+    pull = strength * rng.uniform(0.7, 1.3, count)[wisp] * (1 - 0.7 * near) * free
+    strands = clump(strands, wisp, pull)
+    leaders, mine = np.unique(wisp, return_inverse=True)
+    drift = wander(strands[leaders], 1.2 * height, rng) - strands[leaders]
+    along = np.linspace(0, 1, strands.shape[1])
+    out = unit((strands - strands[:, :1].mean(axis=0)) * np.array([1, 1, 0.35]))
+    rise = np.abs(rng.normal(0, height, len(leaders)))[mine, None] * smoothstep(0.08, 0.5, along)
+    share = ((1 - near) * free)[:, None, None]
+    strands = strands + share * (rise[..., None] * out + drift[mine])
+    if style.ties:
+        return strands
+    return resample(strands, (1 - 0.18 * rng.random(count))[wisp], style.points)

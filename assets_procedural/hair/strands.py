@@ -1,11 +1,9 @@
-"""Shaping strands in numpy: guides to children, locks, curls and strays, radii and colour.
+"""Shaping strands in numpy: guides to children, locks, curls and strays, radii.
 
 Symbols: N strands, G guides, K points a strand. Metres.
 """
 
 from __future__ import annotations
-
-from typing import Any
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -29,11 +27,13 @@ def spread(
     roots: np.ndarray,
     side: np.ndarray,
     neighbours: int = 3,
+    focus: float = 2.0,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Which guides each child mixes: (ids (N, neighbours), weights (N, neighbours)).
 
     `guides` (G, 3) and `roots` (N, 3) are root positions; a child only mixes guides of its own
-    `side`, so that nothing bridges a parting.
+    `side`, so that nothing bridges a parting. A guide's weight falls with its distance to the
+    power of `focus`: high powers keep the guides apart, as locks.
     """
     ids = np.zeros((len(roots), neighbours), int)
     weights = np.full((len(roots), neighbours), 1 / neighbours)
@@ -45,7 +45,7 @@ def spread(
         k = min(neighbours, len(pool))
         distance, index = KDTree(guides[pool]).query(roots[mine], k=k)
         distance, index = distance.reshape(len(mine), k), index.reshape(len(mine), k)
-        weight = 1 / (distance + 1e-4) ** 2
+        weight = 1 / (distance + 1e-4) ** focus
         ids[mine[:, None], np.arange(k)] = pool[index]
         weights[mine] = 0
         weights[mine[:, None], np.arange(k)] = weight / weight.sum(axis=1, keepdims=True)
@@ -75,7 +75,7 @@ def clump(strands: np.ndarray, leader: np.ndarray, strength: np.ndarray | float)
     A strand moves by a third of its length at most, so that short hair does not bare the skin.
     """
     along = np.linspace(0, 1, strands.shape[1])
-    profile = along**1.3 * (1 - 0.25 * along)
+    profile = 1 - np.exp(-4 * along)
     pull = np.broadcast_to(np.asarray(strength), (len(strands),))[:, None] * profile
     offset = (strands[leader] - strands) * np.minimum(pull, 0.96)[..., None]
     reach = np.linalg.norm(np.diff(strands, axis=1), axis=2).sum(axis=1)
@@ -136,36 +136,6 @@ def tapered(
     along = np.linspace(0, 1, points)
     profile = tip + (root - tip) * (1 - along**2.5)
     return (profile * rng.uniform(0.8, 1.2, (count, 1))).astype(np.float32)
-
-
-def colouring(
-    melanin: float,
-    redness: float,
-    grey: np.ndarray | float,
-    count: int,
-    rng: np.random.Generator,
-    roughness: float = 0.3,
-) -> dict[str, Any]:
-    """Shading inputs of `count` strands.
-
-    Grey hair is a mix of white and pigmented strands: a strand is white where its `strand_random`
-    (N,) in [0, 1) is below `grey`. Where `grey` is local, (N,), the random numbers are stretched
-    so that the mean share gives each place its own.
-    """
-    share = np.broadcast_to(np.asarray(grey, float), (count,))
-    mean = float(share.mean()) if count else 0.0
-    random = rng.random(count)
-    white = random < share
-    low = random * mean / np.maximum(share, 1e-9)
-    high = mean + (random - share) * (1 - mean) / np.maximum(1 - share, 1e-9)
-    return {
-        "melanin": float(melanin),
-        "redness": float(redness),
-        "grey": mean,
-        "roughness": roughness,
-        "radial_roughness": 0.35,
-        "strand_random": np.where(white, low, high).astype(np.float32),
-    }
 
 
 def tousled(points: np.ndarray, rng: np.random.Generator) -> np.ndarray:

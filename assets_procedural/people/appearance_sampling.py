@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from assets_procedural.hair.beards import BEARDS
 from assets_procedural.hair.styles import STYLES
 from assets_procedural.people.ancestry import Heritage
 from assets_procedural.people.choices import Choices
@@ -16,7 +17,6 @@ if TYPE_CHECKING:
 else:  # the names are those of the catalogue
     HairStyle = Literal[tuple(STYLES)]
 
-BEARDS = ("none", "stubble", "moustache", "goatee", "full")
 """The styles of `facial_hair`, which takes scipy to import."""
 HAIR_COLOURS = ("black", "brown", "blond", "red", "grey")
 
@@ -35,6 +35,20 @@ _HAIR_MELANIN = {
 }  # fmt: skip
 _IRIS_WEIGHTS_LIGHT = (0.03, 0.2, 0.07, 0.18, 0.12, 0.12, 0.28)
 _IRIS_WEIGHTS_MEDIUM = (0.35, 0.42, 0.06, 0.12, 0.03, 0.01, 0.01)
+
+
+# Linear Rec.709 colours of dyed fibres.
+_DYES: dict[str, Colour] = {
+    "blonde": (0.56, 0.40, 0.20),
+    "platinum": (0.62, 0.55, 0.43),
+    "copper": (0.36, 0.10, 0.025),
+    "red": (0.36, 0.02, 0.025),
+    "pink": (0.58, 0.19, 0.30),
+    "purple": (0.16, 0.04, 0.26),
+    "blue": (0.03, 0.09, 0.34),
+    "green": (0.05, 0.22, 0.12),
+}
+_BLEACHED_DYES, _VIVID_DYES = tuple(_DYES)[:3], tuple(_DYES)[3:]
 
 
 def clipped(value: float) -> float:
@@ -110,6 +124,9 @@ def draw_hair(
     curl = clipped(heritage.curl(rng))
     style = _draw_style(rng, age, male, curl, allowed, under_hat, choices)
     dyed = rng.random() < float(np.interp(age, [14.0, 25.0], [0.0, 0.12 if male else 0.45]))
+    dye, regrowth_mm = _draw_dye(rng, age, dyed)
+    # Ends bleached on purpose: balayage.
+    tips = rng.uniform(0.3, 0.8) if dyed and not male and rng.random() < 0.25 else 0.0
     # Greying starts later where hair is dark.
     onset = rng.normal(51.0 - 4.0 * heritage.mean("fair"), 8.0)
     grey = 1.0 / (1.0 + np.exp(-(age - onset - 8.0) / 5.5))
@@ -133,6 +150,7 @@ def draw_hair(
     white = rng.beta(4.0, 1.5)
     white = 0.45 + 0.55 * white if colour == "grey" else min(0.5 * grey, 0.35)
     thinning = np.clip((age - 35.0) / 60.0, 0.0, 1.0) * (0.55 if male else 0.3)
+    receding, bare = _draw_loss(rng, age, male)
     side = float(rng.choice([-1.0, 1.0]))
     parting = 0.0 if rng.random() < 0.3 else side * rng.uniform(0.3, 1.0)
     return Hair(
@@ -145,8 +163,35 @@ def draw_hair(
         parting=round(float(parting), 4),
         curl=curl,
         density=clipped(rng.normal(0.82, 0.1) - thinning * rng.random()),
+        receding=clipped(max(receding, STYLES[style].receding)),
+        thinning=clipped(max(bare, STYLES[style].thinning)),
+        dye=dye,
+        regrowth_mm=regrowth_mm,
+        tips=clipped(tips),
         seed=draw_seed(rng),
     )
+
+
+def _draw_loss(rng: np.random.Generator, age: float, male: bool) -> tuple[float, float]:
+    """How far the hairline has receded and the crown is bare, by age, in men, each to his own."""
+    degree, crown = rng.random(2)
+    if not male:
+        return 0.0, 0.0
+    aged = float(np.clip((age - 26.0) / 50.0, 0.0, 1.0))
+    receding = aged * (0.15 + 0.85 * degree**1.5)
+    bare = aged * degree * (1.4 * crown - 0.7)
+    return receding, max(0.0, bare)
+
+
+def _draw_dye(rng: np.random.Generator, age: float, dyed: bool) -> tuple[Colour | None, float]:
+    """A colour that hair does not grow in, and millimetres of regrowth below it; mostly none."""
+    vivid = rng.random() < 0.35
+    name = str(rng.choice(_VIVID_DYES if vivid else _BLEACHED_DYES))
+    regrowth = float(rng.choice([0.0, rng.uniform(5.0, 60.0)], p=[0.4, 0.6]))
+    chance = (0.16 if dyed else 0.015) * float(np.interp(age, [30.0, 65.0], [1.0, 0.25]))
+    if rng.random() > chance:
+        return None, 0.0
+    return _DYES[name], round(regrowth, 1)
 
 
 def _draw_style(
@@ -236,16 +281,24 @@ def draw_beard(
     choices: Choices,
 ) -> Beard:
     """Facial hair for the share `probability` of adult men, none for everyone else."""
-    thick = heritage.mean("body_hair")
+    thick = min(heritage.mean("body_hair"), 1.0)
     young = float(np.clip((age - ADULT) / 8.0, 0.25, 1.0))
     can = probability if male and age >= ADULT else 0.0
-    full = 0.3 * float(np.clip(1.6 * thick - 0.6, 0.2, 1.2)) * young
-    styles = {"stubble": 0.42, "moustache": 0.24 - 0.1 * min(thick, 1.0), "goatee": 0.18}
-    styles["full"] = full
+    # A thin or young growth shows as stubble or a moustache rather than as a whole beard.
+    whole = float(np.clip(1.6 * thick - 0.6, 0.2, 1.0)) * young
+    styles = {
+        "stubble": 0.40,
+        "moustache": 0.18 - 0.1 * thick,
+        "goatee": 0.14,
+        "boxed": 0.16 * whole,
+        "full": 0.18 * whole,
+        "long": 0.05 * whole,
+        "sideburns": 0.03,
+    }
     total = sum(styles.values())
     natural = {"none": 1.0 - can, **{name: can * s / total for name, s in styles.items()}}
     style = choices.pick("beard", rng, natural)
-    low, high = {"stubble": (0.5, 2.0), "moustache": (3.0, 9.0)}.get(style, (4.0, 24.0))
+    low, high = BEARDS[style].length_mm if style != "none" else (1.0, 1.0)
     length = float(np.exp(rng.uniform(np.log(low), np.log(high))))
     density = rng.normal(0.42 + 0.3 * thick, 0.12) * (0.6 + 0.4 * young)
     seed = draw_seed(rng)

@@ -6,10 +6,11 @@ from typing import Annotated, Literal, get_args
 
 from pydantic import Field, field_validator, model_validator
 
+from assets_procedural.hair.beards import BEARD_STYLES
 from assets_procedural.hair.styles import STYLES
 from assets_procedural.people.ages import AGE_GROUPS
 from assets_procedural.people.ancestry import FAMILIES, AncestryGroup
-from assets_procedural.people.appearance_sampling import BEARDS, HAIR_COLOURS, HairStyle
+from assets_procedural.people.appearance_sampling import HAIR_COLOURS, HairStyle
 from assets_procedural.people.choices import Attribute
 from assets_procedural.settings import Interval, Settings, interval
 
@@ -23,7 +24,7 @@ VALUES: dict[Attribute, tuple[str, ...]] = {
     "ancestry": get_args(AncestryGroup),
     "hair_style": tuple(STYLES),
     "hair_colour": HAIR_COLOURS,
-    "beard": BEARDS,
+    "beard": BEARD_STYLES,
     "glasses": ("none", "clear", "sunglasses"),
     "hat": ("none", "worn"),
 }

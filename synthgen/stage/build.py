@@ -15,6 +15,7 @@ from assets_procedural.body import regions
 from assets_procedural.body.head import Bust, Identity
 from assets_procedural.body.piece import Piece, StrandPiece
 from assets_procedural.body.skin import skin_fields
+from assets_procedural.conventions.parts import Part
 from assets_procedural.mesh.subdivision import Subdivision, catmull_clark
 from assets_procedural.outfit import tops
 from assets_procedural.person import Person
@@ -32,6 +33,25 @@ class Figure:
     skin: bpy.types.Object
     detail: SkinDetail
     pieces: list[tuple[Piece, bpy.types.Object]]
+
+
+# Strands that are thinner than a third of a pixel only cost. On pixels of this size and smaller,
+# metres, a head has all its hair; on larger ones fewer and thicker strands, to a limit.
+_FINEST_PIXEL, _WIDEST = 6e-4, 1.9
+_THINNED = (Part.HAIR, Part.BEARD)
+
+
+def strands_for_pixel(pieces: list[Piece], pixel: float) -> list[Piece]:
+    """The pieces with as many strands of hair as pixels of `pixel` metres on the head can show."""
+    wider = float(np.clip((pixel / _FINEST_PIXEL) ** 0.6, 1, _WIDEST))
+    if wider == 1:
+        return pieces
+    return [
+        piece.thinned(wider**-2, wider)
+        if isinstance(piece, StrandPiece) and piece.part in _THINNED
+        else piece
+        for piece in pieces
+    ]
 
 
 def build_figure(person: Person, identity: Identity, pieces: list[Piece]) -> Figure:
@@ -92,7 +112,7 @@ def _build_strands(piece: StrandPiece) -> bpy.types.Object:
     curves = bpy.data.hair_curves.new(piece.name)
     curves.add_curves([points] * strands)
     _attribute(curves, "radius", "FLOAT", "POINT", piece.radius)
-    _attribute(curves, "colour", "FLOAT_COLOR", "CURVE", strand_colours(piece))
+    _attribute(curves, "colour", "FLOAT_COLOR", "POINT", strand_colours(piece))
     curves.materials.append(materials.hair(piece.parameters.get("roughness", 0.3), piece.part))
     object_ = _link(curves)
     # Cycles puts strands of uniform scale into the scene's BVH, which it builds anew for every

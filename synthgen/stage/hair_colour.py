@@ -9,20 +9,27 @@ from assets_procedural.body.piece import StrandPiece
 # Absorption of eumelanin and pheomelanin per unit concentration (d'Eon et al. 2011).
 _EUMELANIN = np.array([0.506, 0.841, 1.653])
 _PHEOMELANIN = np.array([0.343, 0.733, 1.924])
-_WHITE = np.array([0.66, 0.64, 0.60])
+# White hair among its like scatters on: brighter fibres would make a glowing cloud of it.
+_WHITE = np.array([0.46, 0.45, 0.425])
+_BRIGHTEST = 0.72
 
 
 def strand_colours(piece: StrandPiece) -> np.ndarray:
-    """(N, 4) linear colours of a piece's strands: pigment, its scatter, and grey hairs.
+    """(N, K, 4) linear colours at the points of a piece's strands.
 
     The piece's parameters: `melanin` and `redness` in [0, 1], `grey` the share of unpigmented
-    hairs, `strand_random` (N,) in [0, 1), one independent number a strand.
+    hairs, `strand_random` (N,) in [0, 1), one independent number a strand. Optional: `tone` (N,)
+    multiplies the amount of pigment, `bleached` (N,) in [0, 1] is how much less of it the tips
+    have, `dye` is a colour that begins `regrowth` (N,), a share of the strand, above the root.
     """
     p = piece.parameters
     chance = np.asarray(p["strand_random"], float)
+    along = np.linspace(0, 1, piece.radius.shape[1])
     # Concentration of Chiang et al. 2016, eq. 7-8 with the look-up -ln(1 - m).
     amount = -np.log(np.maximum(1 - np.clip(p["melanin"], 0, 0.995), 1e-4))
-    amount = amount * (0.8 + 0.4 * _fraction(chance * 7.0))[:, None]
+    amount = amount * (0.9 + 0.2 * _fraction(chance * 7.0)) * p.get("tone", 1.0)
+    bleached = np.asarray(p.get("bleached", 0.0))[..., None] * along**2
+    amount = (amount[:, None] * (1 - 0.85 * bleached))[..., None]
     sigma = amount * ((1 - p["redness"]) * _EUMELANIN + p["redness"] * _PHEOMELANIN)
     roughness = p.get("radial_roughness", 0.45)
     width = 5.969 + roughness * (
@@ -31,9 +38,16 @@ def strand_colours(piece: StrandPiece) -> np.ndarray:
     )
     colour = np.exp(-np.sqrt(sigma) * width)
     # Grey comes hair by hair, and a hair that greys is nearly white.
-    grey = np.clip((p["grey"] - chance) / 0.08 + 0.5, 0, 1)[:, None] * (p["grey"] > 0)
-    colour = colour + grey * (_WHITE * (0.8 + 0.2 * _fraction(chance * 13.0))[:, None] - colour)
-    return np.concatenate([np.clip(colour, 0.003, 0.9), np.ones((len(colour), 1))], axis=1)
+    grey = (np.clip((p["grey"] - chance) / 0.08 + 0.5, 0, 1) * (p["grey"] > 0))[:, None, None]
+    white = _WHITE * (0.7 + 0.3 * _fraction(chance * 13.0))[:, None, None]
+    colour = colour + grey * (white - colour)
+    if "dye" in p:
+        shade = np.asarray(p.get("tone", np.ones(len(chance))))[:, None, None]
+        dye = np.asarray(p["dye"]) ** np.clip(shade, 0.6, 1.6)
+        covered = np.clip((along - p["regrowth"][:, None]) / 0.08 + 0.5, 0, 1)[..., None]
+        colour = colour + covered * (dye - colour)
+    opaque = np.ones((*colour.shape[:2], 1))
+    return np.concatenate([np.clip(colour, 0.003, _BRIGHTEST), opaque], axis=2)
 
 
 def _fraction(x: np.ndarray) -> np.ndarray:

@@ -22,7 +22,7 @@ from synthgen.dataset.shot import RenderedSubject, Shot, describe
 from synthgen.planning.job import JobSpec
 from synthgen.planning.plan import ShotPlan, SubjectPlan
 from synthgen.stage import photograph, scene
-from synthgen.stage.build import build_figure, pose_figure
+from synthgen.stage.build import build_figure, pose_figure, strands_for_pixel
 from synthgen.stage.geometry import canonical_mesh, control_geometry, frame_of_head, visible
 
 _Beauty = dict[str, list[np.ndarray]]
@@ -43,7 +43,10 @@ def render_subject(
     with clock("build"):
         identity = _head_model().identity(subject.person)
         scene.open_stage(job.resolution, job.samples, device, threads)
-        figure = build_figure(subject.person, identity, pieces(subject.person, identity))
+        closest = max(camera.fill for camera in subject.cameras)
+        pixel = frame_of_head(identity.neutral)[1] / (closest * job.resolution)
+        parts = strands_for_pixel(pieces(subject.person, identity), pixel)
+        figure = build_figure(subject.person, identity, parts)
     by_pose: dict[int, list[ShotPlan]] = defaultdict(list)
     for shot in subject.shots:
         by_pose[shot.pose].append(shot)

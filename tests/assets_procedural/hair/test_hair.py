@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from assets_procedural.body.hairline import hairline_distance, recession
+from assets_procedural.body.hairline import bare_crown, hairline_distance
 from assets_procedural.body.head import HeadModel, Identity
 from assets_procedural.body.piece import StrandPiece
 from assets_procedural.body.roots import sample_roots
 from assets_procedural.conventions.parts import Part
-from assets_procedural.hair import facial_hair, scalp_hair
+from assets_procedural.hair import beards, facial_hair, scalp_hair
 from assets_procedural.hair.draping import Surface
 from assets_procedural.hair.styles import STYLES
 from assets_procedural.mesh.vectors import smoothstep
@@ -58,7 +58,7 @@ def test_an_unknown_style_is_named(identity):
     with pytest.raises(KeyError, match="mullet"):
         scalp_hair.scalp_hair(Person(hair=Hair(style="mullet")), identity, np.random.default_rng(0))
     with pytest.raises(KeyError, match="goat"):
-        facial_hair.beard(Person(beard=Beard(style="goat")), identity, np.random.default_rng(0))
+        beards.beard(Person(beard=Beard(style="goat")), identity, np.random.default_rng(0))
 
 
 def test_the_same_seed_gives_the_same_hair(identity):
@@ -96,13 +96,17 @@ def test_long_hair_drapes_on_a_turned_bust(identity, yaw):
     assert (signed < -0.002).mean() < 0.01
 
 
-def test_older_men_lose_the_front_of_their_hair():
-    ages = [
-        recession(Person(age_years=age, phenotypes={"gender": 0.0}, hair=Hair(seed=5)))
-        for age in (20, 50, 80)
-    ]
-    assert ages[0] == 0 and ages[0] < ages[1] < ages[2] <= 1
-    assert recession(Person(age_years=80, phenotypes={"gender": 1.0})) == 0
+def test_a_receding_hairline_and_a_bare_crown_take_hair_where_they_should(identity):
+    model = identity.model
+    skin = model.template[model.groups["skin"]]
+    crown = skin[[np.argmax(skin[:, 2])]]
+    temple = np.array([[0.055, -0.115, 0.80]])
+    full, bald = Person(hair=Hair()), Person(hair=Hair(receding=0.8, thinning=1.0))
+    assert hairline_distance(temple, bald)[0] < hairline_distance(temple, full)[0] - 10
+    assert bare_crown(crown, full)[0] == 0 and bare_crown(crown, bald)[0] > 0.9
+    roots = grow(identity, "horseshoe").place(identity.neutral)[:, 0]
+    on_top = roots[:, 2] > identity.rest[model.groups["skin"], 2].max() - 0.02
+    assert on_top.mean() < 0.02
 
 
 def test_the_face_lies_outside_the_hairline(identity):
@@ -145,10 +149,10 @@ def test_lashes_close_with_the_lids(identity):
     assert (open_[..., 1].min(axis=1) < open_[:, 0, 1]).all()
 
 
-@pytest.mark.parametrize("style", ["stubble", "moustache", "goatee", "full"])
+@pytest.mark.parametrize("style", list(beards.BEARDS))
 def test_beards_cover_their_region_and_spare_the_lips(identity, style):
     person = Person(beard=Beard(style=style, length_mm=6))
-    (piece,) = facial_hair.beard(person, identity, np.random.default_rng(2))
+    (piece,) = beards.beard(person, identity, np.random.default_rng(2))
     points = piece.place(identity.neutral)
     roots = points[:, 0]
     assert piece.part == Part.BEARD and np.isfinite(points).all()
@@ -158,7 +162,7 @@ def test_beards_cover_their_region_and_spare_the_lips(identity, style):
     assert (roots[:, 2] < identity.neutral.eyes["eye_left"][2] + 0.01).all()
     dropped = piece.place(identity.pose(Pose(expression={"jawOpen": 1})))
     chin = roots[:, 2] < np.quantile(roots[:, 2], 0.2)
-    if style != "moustache":
+    if style not in ("moustache", "sideburns"):
         assert (dropped - points)[chin, :, 2].mean() < -0.001
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from assets_procedural.hair.beards import BEARDS
 from assets_procedural.hair.styles import STYLES
 from assets_procedural.outfit import tops
 from assets_procedural.people.ages import age_group, phenotype_age
@@ -49,7 +50,9 @@ def test_deterministic_and_survives_json() -> None:
 
 
 def test_all_values_are_in_range(crowd: list[Person]) -> None:
+    dyed = {"dye", "regrowth_mm"}
     for person in crowd:
+        assert 0.0 <= person.hair.regrowth_mm <= 60.0
         assert 18.0 <= person.age_years <= 85.0
         assert all(0.0 <= v <= 1.0 for v in person.phenotypes.values())
         assert all(-1.0 <= v <= 1.0 for v in person.shape.values())
@@ -60,7 +63,8 @@ def test_all_values_are_in_range(crowd: list[Person]) -> None:
         assert person.age_group == age_group(person.age_years)
         unit = [
             *(person.skin.model_dump(exclude={"moles", "seed"}).values()),
-            *(person.hair.model_dump(exclude={"style", "colour", "parting", "seed"}).values()),
+            *(person.hair.model_dump(exclude={"style", "colour", "parting", *dyed, "seed"}).values()),
+            *(person.hair.dye or ()),
             person.eyes.limbus, person.eyes.redness, person.brows.thickness, person.brows.density,
             person.beard.density,
             *(person.makeup.model_dump(exclude={"lip_colour", "lid_colour"}).values()),
@@ -157,7 +161,13 @@ def test_age_shows(crowd: list[Person]) -> None:
     assert np.mean([p.hair.grey for p in old]) > 0.6
     assert np.mean([p.skin.wrinkles for p in old]) > np.mean([p.skin.wrinkles for p in young]) + 0.4
     men = [p for p in old if is_male(p)]
-    assert np.mean([p.hair.style == "bald" for p in men]) > 0.1
+    assert np.mean([p.hair.style in ("bald", "horseshoe", "shaved") for p in men]) > 0.1
+    receding = {
+        group: np.mean([p.hair.receding for p in of if is_male(p)])
+        for group, of in (("young", young), ("old", old))
+    }
+    assert receding["old"] > receding["young"] + 0.2
+    assert all(p.hair.receding == p.hair.thinning == 0 for p in old if not is_male(p))
 
 
 def test_makeup_is_for_some_grown_women(crowd: list[Person]) -> None:
@@ -194,7 +204,7 @@ def test_beards_are_for_adult_men(crowd: list[Person]) -> None:
     bearded = [p for p in crowd if p.beard.style != "none"]
     assert len(bearded) > 220
     assert all(is_male(p) for p in bearded)
-    assert {p.beard.style for p in bearded} == {"stubble", "moustache", "goatee", "full"}
+    assert {p.beard.style for p in bearded} == set(BEARDS)
     assert all(p.beard.style == "none" for p in people(60, age=(16, 17.5), beard=1))
     assert all(p.beard.style != "none" for p in people(40, male=1, beard=1))
 
