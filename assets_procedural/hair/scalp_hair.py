@@ -18,7 +18,7 @@ from assets_procedural.hair.scalp import parting_sides, scalp_density
 from assets_procedural.hair.strands import colouring, mix, resample, spread, tousled
 from assets_procedural.hair.styles import STYLES, Guides, Style, upright
 from assets_procedural.mesh.vectors import smoothstep, unit
-from assets_procedural.outfit.headwear import above_rim
+from assets_procedural.outfit.headwear import above_rim, hides_hair
 from assets_procedural.person import Person
 
 _STEPS = 24
@@ -36,7 +36,7 @@ def scalp_hair(person: Person, identity: Identity, rng: np.random.Generator) -> 
     if person.hair.style not in STYLES:
         raise KeyError(f"no hair style named {person.hair.style!r}; known: {', '.join(STYLES)}")
     style = STYLES[person.hair.style]
-    if style.count == 0:
+    if style.count == 0 or hides_hair(person.hat):
         return []
     return [_grown(style, person, identity, rng)]
 

@@ -18,7 +18,12 @@ from assets_procedural.people.appearance_sampling import (
     draw_skin,
 )
 from assets_procedural.people.face_shape import draw_asymmetry, draw_shape
-from assets_procedural.people.outfit_sampling import draw_earrings, draw_glasses, draw_hat, draw_top
+from assets_procedural.people.outfit_sampling import (
+    draw_clothes,
+    draw_earrings,
+    draw_glasses,
+    draw_hat,
+)
 from assets_procedural.person import Person
 from assets_procedural.settings import Interval, Settings, interval
 
@@ -88,8 +93,7 @@ def sample_person(rng: np.random.Generator, settings: PeopleSettings) -> Person:
     allowed = tuple(STYLES) if settings.hair_styles == "all" else settings.hair_styles
     hat_wanted = rng.random() < settings.hat
     hair = draw_hair(rng, age, male, ancestry, skin.melanin, allowed, hat_wanted)
-    hat = draw_hat(rng) if hat_wanted and STYLES[hair.style].under_hat else None
-    top = draw_top(rng)
+    hat = draw_hat(rng, age, male, STYLES[hair.style].under_hat) if hat_wanted else None
     return Person(
         age_years=round(age, 2),
         phenotypes=_draw_phenotypes(rng, age, male, ancestry),
@@ -100,9 +104,9 @@ def sample_person(rng: np.random.Generator, settings: PeopleSettings) -> Person:
         hair=hair,
         brows=draw_brows(rng, age, male),
         beard=draw_beard(rng, age, male, ancestry, settings.beard),
-        top=top,
-        glasses=draw_glasses(rng, age, settings.glasses, settings.sunglasses),
-        earrings=draw_earrings(rng, age, male, settings.earrings),
+        **draw_clothes(rng, age, male, hat, hair.style),
+        glasses=draw_glasses(rng, age, male, settings.glasses, settings.sunglasses),
+        earrings=draw_earrings(rng, age, male, settings.earrings, hat),
         hat=hat,
     )
 
