@@ -101,33 +101,87 @@ class Beard(Parameters):
 
 
 class Top(Parameters):
-    style: str = "tee"
+    """What is worn next to the skin; `neckline`, `fabric` and `pattern` as in `outfit`.
+
+    `closure`: none, buttons (a placket) or zip. `accent` colours patterns, ringer bands and trims.
+    """
+
+    neckline: str = "crew"
+    fabric: str = "jersey"
+    closure: str = "none"
+    pattern: str = "plain"
     colour: Colour = (0.2, 0.25, 0.35)
     accent: Colour = (0.6, 0.6, 0.6)
+    seed: int = 0
+
+
+class Jacket(Parameters):
+    """An open layer over the top: blazer, cardigan, trucker, biker or bomber."""
+
+    style: str = "blazer"
+    fabric: str = "suiting"
     pattern: str = "plain"
+    colour: Colour = (0.02, 0.025, 0.04)
+    accent: Colour = (0.1, 0.1, 0.12)
+    seed: int = 0
+
+
+class Scarf(Parameters):
+    """Wound around the neck, over everything else; `thickness_mm` of the roll."""
+
+    thickness_mm: float = 34.0
+    fabric: str = "knit"
+    pattern: str = "plain"
+    colour: Colour = (0.2, 0.2, 0.22)
+    accent: Colour = (0.5, 0.5, 0.5)
     seed: int = 0
 
 
 class Glasses(Parameters):
-    """`tint` is the share of light that a lens absorbs."""
+    """`tint` is the share of light that a lens absorbs, `gradient` how much of it the lower edge
+    loses, `mirror` the share of light that a coated lens throws back."""
 
     shape: str = "rectangle"
     colour: Colour = (0.03, 0.03, 0.03)
     metal: bool = False
+    tortoise: bool = False
     tint: float = 0.0
+    lens: Colour = (0.5, 0.5, 0.5)
+    gradient: float = 0.0
+    mirror: float = 0.0
 
 
 class Earrings(Parameters):
+    """`shape`: stud, hoop or drop."""
+
     shape: str = "hoop"
     size_mm: float = 18.0
     colour: Colour = (0.8, 0.6, 0.25)
 
 
+class Necklace(Parameters):
+    """`style`: chain, pendant or beads; `drop` from 0 (at the throat) to 1 (over the chest)."""
+
+    style: str = "chain"
+    drop: float = 0.4
+    colour: Colour = (0.8, 0.6, 0.25)
+
+
 class Hat(Parameters):
+    """Headwear, headscarves included."""
+
     style: str = "beanie"
+    pattern: str = "plain"
     colour: Colour = (0.15, 0.05, 0.06)
     accent: Colour = (0.5, 0.5, 0.5)
     seed: int = 0
+
+
+class Headphones(Parameters):
+    """Over the ears, with a band over the head."""
+
+    colour: Colour = (0.02, 0.02, 0.02)
+    accent: Colour = (0.3, 0.3, 0.3)
 
 
 class Person(Parameters):
@@ -155,6 +209,10 @@ class Person(Parameters):
     brows: Brows = Brows()
     beard: Beard = Beard()
     top: Top = Top()
+    jacket: Jacket | None = None
+    scarf: Scarf | None = None
     glasses: Glasses | None = None
     earrings: Earrings | None = None
+    necklace: Necklace | None = None
     hat: Hat | None = None
+    headphones: Headphones | None = None

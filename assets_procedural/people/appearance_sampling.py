@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from assets_procedural.hair.beards import BEARDS
+from assets_procedural.hair.beard_styles import BEARDS
 from assets_procedural.hair.styles import STYLES
 from assets_procedural.people.ancestry import Heritage
 from assets_procedural.people.choices import Choices
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 else:  # the names are those of the catalogue
     HairStyle = Literal[tuple(STYLES)]
 
-"""The styles of `facial_hair`, which takes scipy to import."""
 HAIR_COLOURS = ("black", "brown", "blond", "red", "grey")
 
 # Linear Rec.709 reflectances of irises, dark to light.

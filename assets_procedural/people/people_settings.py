@@ -6,7 +6,7 @@ from typing import Annotated, Literal, get_args
 
 from pydantic import Field, field_validator, model_validator
 
-from assets_procedural.hair.beards import BEARD_STYLES
+from assets_procedural.hair.beard_styles import BEARD_STYLES
 from assets_procedural.hair.styles import STYLES
 from assets_procedural.people.ages import AGE_GROUPS
 from assets_procedural.people.ancestry import FAMILIES, AncestryGroup

@@ -18,7 +18,12 @@ from assets_procedural.people.appearance_sampling import (
 from assets_procedural.people.choices import Choices
 from assets_procedural.people.face_shape import draw_asymmetry, draw_shape
 from assets_procedural.people.kinds import Kind, draw_kind
-from assets_procedural.people.outfit_sampling import draw_earrings, draw_glasses, draw_hat, draw_top
+from assets_procedural.people.outfit_sampling import (
+    draw_clothes,
+    draw_earrings,
+    draw_glasses,
+    draw_hat,
+)
 from assets_procedural.people.people_settings import PeopleSettings
 from assets_procedural.people.quotas import factors
 from assets_procedural.person import Person
@@ -42,8 +47,7 @@ def sample_person(
 def draw_person(rng: np.random.Generator, settings: PeopleSettings, kind: Kind) -> Person:
     """A person of a kind."""
     age, male, heritage, skin, hair = kind.age, kind.male, kind.heritage, kind.skin, kind.hair
-    hat = draw_hat(rng) if kind.hat and STYLES[hair.style].under_hat else None
-    top = draw_top(rng)
+    hat = draw_hat(rng, age, male, STYLES[hair.style].under_hat) if kind.hat else None
     tinted = float(kind.glasses == "sunglasses")
     return Person(
         sex="male" if male else "female",
@@ -59,9 +63,9 @@ def draw_person(rng: np.random.Generator, settings: PeopleSettings, kind: Kind) 
         hair=hair,
         brows=draw_brows(rng, age, male),
         beard=kind.beard,
-        top=top,
-        glasses=draw_glasses(rng, age, float(kind.glasses != "none"), tinted),
-        earrings=draw_earrings(rng, age, male, settings.earrings),
+        **draw_clothes(rng, age, male, hat, hair.style),
+        glasses=draw_glasses(rng, age, male, float(kind.glasses != "none"), tinted),
+        earrings=draw_earrings(rng, age, male, settings.earrings, hat),
         hat=hat,
         makeup=draw_makeup(rng, age, male),
     )

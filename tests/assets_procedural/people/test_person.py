@@ -10,9 +10,12 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from assets_procedural.hair.beards import BEARDS
+from assets_procedural.hair.beard_styles import BEARDS
 from assets_procedural.hair.styles import STYLES
-from assets_procedural.outfit import tops
+from assets_procedural.outfit.fabrics import FABRICS
+from assets_procedural.outfit.glasses import SHAPES
+from assets_procedural.outfit.headwear import _EDGES
+from assets_procedural.outfit.necklines import JACKETS, NECKLINES
 from assets_procedural.people.ages import age_group, phenotype_age
 from assets_procedural.people.ancestry import FAMILIES, GROUPS
 from assets_procedural.people.face_shape import ASYMMETRY
@@ -106,8 +109,34 @@ def test_shape_names_are_annys() -> None:
             assert (folder / "asym" / f"asym-{name}-{side}.target.gz").is_file()
 
 
-def test_tops_exist(crowd: list[Person]) -> None:
-    assert {p.top.style for p in crowd} <= set(tops.STYLES)
+def test_clothes_exist_and_are_varied(crowd: list[Person]) -> None:
+    assert {p.top.neckline for p in crowd} == set(NECKLINES)
+    assert {p.jacket.style for p in crowd if p.jacket} == set(JACKETS)
+    worn = [p.top.fabric for p in crowd] + [p.jacket.fabric for p in crowd if p.jacket]
+    assert set(worn) == set(FABRICS)
+    assert {p.glasses.shape for p in crowd if p.glasses} == set(SHAPES)
+    assert {p.hat.style for p in crowd if p.hat} == {*_EDGES, "headscarf"}
+    colours = np.array([p.top.colour for p in crowd])
+    brightness, chroma = colours.mean(axis=1), np.ptp(colours, axis=1)
+    # Wardrobes are mostly sober; few tops are vivid, many are dark, some are white.
+    assert np.mean(chroma > 0.25) < 0.2
+    assert np.mean(brightness < 0.08) > 0.35
+    assert np.mean(brightness > 0.6) > 0.1
+
+
+def test_what_is_worn_together_goes_together(crowd: list[Person]) -> None:
+    assert sum(p.necklace is not None for p in crowd) > 20
+    assert sum(p.headphones is not None for p in crowd) > 5
+    for p in crowd + people(300, hat=1, earrings=1):
+        wrapped = p.hat is not None and p.hat.style == "headscarf"
+        assert not (p.headphones and p.hat)
+        assert not (wrapped and (p.earrings or p.necklace or p.scarf))
+        assert not (wrapped and p.top.neckline == "hood")
+        assert not (p.scarf and (p.necklace or p.top.neckline in ("turtleneck", "hood", "mock")))
+        assert not (p.necklace and p.top.neckline in ("turtleneck", "buttoned", "hood"))
+        assert not (p.jacket and p.top.neckline == "hood")
+        if is_male(p):
+            assert not wrapped
 
 
 def test_sex_and_age_follow_the_settings(crowd: list[Person]) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from assets_procedural.hair.beards import BEARD_STYLES
+from assets_procedural.hair.beard_styles import BEARD_STYLES
 from assets_procedural.people.choices import ATTRIBUTES, spread_points
 from assets_procedural.people.people_settings import VALUES, PeopleSettings
 from assets_procedural.people.person_sampling import sample_person
