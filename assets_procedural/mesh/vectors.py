@@ -12,7 +12,7 @@ def unit(vectors: np.ndarray) -> np.ndarray:
     return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)
 
 
-def smoothstep(low: Any, high: Any, value: np.ndarray) -> np.ndarray:
+def smoothstep(low: Any, high: Any, value: Any) -> Any:
     """Hermite step from 0 at `low` to 1 at `high`, in either order."""
     t = np.clip((value - low) / (high - low), 0, 1)
     return t * t * (3 - 2 * t)

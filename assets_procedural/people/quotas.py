@@ -42,7 +42,7 @@ def _fitted(stored: str) -> Factors:
     found: dict[str, dict[str, float]] = {
         name: dict(table) for name, table in settings.weights.items()
     }
-    asked = [name for name in ATTRIBUTES if settings.quotas.get(name)]
+    asked: list[Attribute] = [name for name in ATTRIBUTES if settings.quotas.get(name)]
     for attribute in asked:
         seen = []
         for index in range(PEOPLE):

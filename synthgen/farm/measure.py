@@ -86,8 +86,8 @@ def measure(
 def _rounds(plan: Plan, kind: Kind) -> list[SubjectPlan]:
     """Subjects to be rendered one after another: a warm-up, then three sizes of each subject."""
     most = min(MOST, len(plan.environment_ids))
-    count = {"views": MOST} if kind == "multiview" else {"frames": MOST}
-    spec = SubsetSpec(kind=kind, subjects=SUBJECTS, environments=most, **count)
+    views, frames = (MOST, None) if kind == "multiview" else (None, MOST)
+    spec = SubsetSpec(kind=kind, subjects=SUBJECTS, environments=most, views=views, frames=frames)
     small = Plan(plan.job.model_copy(update={"subsets": {kind: spec}}), plan.environment_ids)
     sizes = [(1, 1), (MOST, 1), (1, most)]
     rounds = [

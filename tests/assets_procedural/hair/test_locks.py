@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -47,6 +48,7 @@ def test_locks_are_geometry_and_have_tones(identity, monkeypatch):
     def clumping(piece: StrandPiece) -> float:
         """How unevenly strands of 5 mm around a root lie where they have fallen 15 cm."""
         points = piece.place(identity.neutral)
+        near: Any
         _, near = KDTree(points[:, 0]).query(points[::20, 0], k=8)
         away = np.linalg.norm(points[near[:, 1:]] - points[near[:, :1]], axis=-1)
         middle = points.shape[1] // 2

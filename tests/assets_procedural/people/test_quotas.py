@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from assets_procedural.hair.beard_styles import BEARD_STYLES
-from assets_procedural.people.choices import ATTRIBUTES, spread_points
+from assets_procedural.people.choices import ATTRIBUTES, Attribute, spread_points
 from assets_procedural.people.people_settings import VALUES, PeopleSettings
 from assets_procedural.people.person_sampling import sample_person
 from assets_procedural.people.quotas import QuotaError, attributes, factors, quota_points
@@ -41,7 +41,7 @@ def crowd() -> list[Person]:
 
 
 @pytest.mark.parametrize("attribute", QUOTAS)
-def test_two_thousand_people_reach_every_quota(crowd: list[Person], attribute: str) -> None:
+def test_two_thousand_people_reach_every_quota(crowd: list[Person], attribute: Attribute) -> None:
     values = [attributes(person)[attribute] for person in crowd]
     for value, share in QUOTAS[attribute].items():
         # Three deviations of independent draws, which these keep well within.
