@@ -356,6 +356,10 @@ def query(out: Place, sql: str, unlocked: bool = False) -> Result:
 
 def check_query(connection: duckdb.DuckDBPyConnection, sql: str, unlocked: bool) -> None:
     """Raise `StorageError` unless SQL only reads, or anything is allowed."""
+    try:
+        sql.encode()
+    except UnicodeEncodeError as error:
+        raise StorageError(f"query: {ascii(sql)[:80]}: is no text ({error.reason})") from None
     if not connection.extract_statements(sql):  # nothing but spaces or a comment
         raise StorageError('query: is empty; write "SELECT … FROM manifest"')
     if not unlocked and not database.only_reads(connection, sql):

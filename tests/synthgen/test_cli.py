@@ -485,7 +485,10 @@ def test_many_rows_take_seconds(synthgen: Synthgen, small_dataset: Path) -> None
     assert time.process_time() - start < 5
 
 
-@pytest.mark.parametrize("sql", ["", "/* nothing */", "SELECT", "SELECT nonsense FROM manifest"])
+NO_QUERY = ["", "/* nothing */", "SELECT", "SELECT nonsense FROM manifest", "SELECT '\udcff'"]
+
+
+@pytest.mark.parametrize("sql", NO_QUERY, ids=map(ascii, NO_QUERY))
 def test_what_is_no_query_is_one_line(
     failure: Callable[..., str], small_dataset: Path, sql: str
 ) -> None:
