@@ -71,8 +71,9 @@ class Frame:
 
 @dataclass
 class Reading:
-    """What MediaPipe saw: landmarks (70, 2) in pixels, blendshapes, angles in degrees."""
+    """What MediaPipe saw: mesh (478, 2), landmarks (70, 2), in pixels, blendshapes, degrees."""
 
+    mesh: np.ndarray
     landmarks: np.ndarray
     blendshapes: dict[str, float]
     angles: np.ndarray
@@ -164,6 +165,7 @@ class FaceLandmarker:
         if not _within_face(points[:68].mean(axis=0), frame):
             return None
         return Reading(
+            mesh,
             points,
             {c.category_name: c.score for c in result.face_blendshapes[0]},
             angles_of(np.asarray(result.facial_transformation_matrixes[0])[:3, :3]),

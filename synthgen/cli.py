@@ -306,14 +306,41 @@ def sheet(
         typer.Option("--output", metavar="FILE", help=f".png or .jpg; default DIR.png{_OR_HERE}"),
     ] = None,
     portraits: Annotated[
-        bool, typer.Option("--portraits", help="Only one picture of each of ten people.")
+        bool,
+        typer.Option(
+            "--portraits",
+            help="Only pictures, edge to edge: one of each person, or all of a single person.",
+        ),
     ] = False,
+    subset: Subset = None,
+    columns: Annotated[int, typer.Option(help="Of --portraits, in a row.", min=1, max=40)] = 5,
 ) -> None:
     """Draw a contact sheet of a dataset; prints the picture's path."""
     from synthgen.pictures import sheet as drawing
 
-    draw = drawing.portraits if portraits else drawing.sheet
-    console.say(draw(out, output or _beside(out, ".png")))
+    target = output or _beside(out, ".png")
+    if portraits:
+        console.say(drawing.portraits(out, target, subset, columns))
+    else:
+        console.say(drawing.sheet(out, target))
+
+
+@app.command()
+def clip(
+    out: Dataset,
+    subject: Annotated[str, typer.Argument(metavar="SUBJECT", help='"video/s000000".')],
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", metavar="WEBP", help=f"Default: DIR-SUBJECT.webp{_OR_HERE}"),
+    ] = None,
+    environment: Annotated[int, typer.Option(help="Which of the subject's, from 0.", min=0)] = 0,
+    fps: Annotated[float, typer.Option(help="Frames a second.", min=1, max=60)] = 25.0,
+) -> None:
+    """Play the frames of one subject as an animated picture; prints its path."""
+    from synthgen.pictures import clip as drawing
+
+    target = output or _beside(out, f"-{subject.replace('/', '-')}.webp")
+    console.say(drawing.clip(out, subject, target, environment, fps))
 
 
 @app.command()

@@ -86,27 +86,30 @@ def bake(
     (diffuse,) = _numbers("--kd", str(kd), "a number of at least 0", 1)
     specular = _numbers("--ks", ks, "4 numbers of at least 0, such as 0,0,0.2,0", 4)
     outputs = {"--out": out, "--picture": picture, "--ball": ball}
-    _check_outputs(environment, {name: path for name, path in outputs.items() if path is not None})
-    place = _device(device)
+    written = {name: path for name, path in outputs.items() if path is not None}
+    _check_outputs(environment, written)
+    with console.progress("baking", len(written)) as advance:
+        place = _device(device)
 
-    import torch
+        import torch
 
-    from assets_procedural.conventions import panorama_reading
-    from totalediting.light import lightmaps, pictures
-    from totalediting.light.files import write_lightmaps
+        from assets_procedural.conventions import panorama_reading
+        from totalediting.light import lightmaps, pictures
+        from totalediting.light.files import write_lightmaps
 
-    light = torch.from_numpy(panorama_reading.read(environment, missing=missing)[0]).to(place)
-    maps = lightmaps.bake(light, size)
-    stored = lightmaps.bake(light, size, normalised=False) if unnormalised else maps
-    source, _ = panorama_reading.split(environment)
-    write_lightmaps(out, stored, source, normalised=not unnormalised)
-    console.say(out)
-    if picture is not None:
-        pictures.draw_lightmaps(light, maps, environment.name, picture)
-        console.say(picture)
-    if ball is not None:
-        pictures.draw_ball(light, maps, colour, diffuse, specular, ball)
-        console.say(ball)
+        light = torch.from_numpy(panorama_reading.read(environment, missing=missing)[0]).to(place)
+        maps = lightmaps.bake(light, size)
+        stored = lightmaps.bake(light, size, normalised=False) if unnormalised else maps
+        source, _ = panorama_reading.split(environment)
+        write_lightmaps(out, stored, source, normalised=not unnormalised)
+        advance(1, len(written))
+        if picture is not None:
+            pictures.draw_lightmaps(light, maps, environment.name, picture)
+            advance(2, len(written))
+        if ball is not None:
+            pictures.draw_ball(light, maps, colour, diffuse, specular, ball)
+    for path in written.values():
+        console.say(path)
 
 
 @app.command()
@@ -205,9 +208,11 @@ def evaluate(
     ] = "test",
 ) -> None:
     """Measure every stage of a trained run on a split of a dataset."""
-    from totalediting.training import runs
+    with console.progress("measuring stages") as advance:
+        from totalediting.training import runs
 
-    _print_figures(runs.evaluate(run, data, split))
+        found = runs.evaluate(run, data, split, advance)
+    _print_figures(found)
 
 
 @app.command()
@@ -220,9 +225,11 @@ def show(
     ] = None,
 ) -> None:
     """Draw what a trained run makes of people it has not seen."""
-    from totalediting.training import showcase
+    with console.progress("drawing"):
+        from totalediting.training import showcase
 
-    console.say(showcase.draw(run, data, output or run.with_name(run.name + ".png")))
+        target = showcase.draw(run, data, output or run.with_name(run.name + ".png"))
+    console.say(target)
 
 
 def _print_figures(found: dict[str, dict[str, float]]) -> None:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import re
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
-from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
+from typing import IO, TYPE_CHECKING, Any, NoReturn, TypeVar
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -134,6 +135,95 @@ def lines(text: Callable[[], str]) -> Iterator[None]:
     finally:
         ended.set()
         speaker.join()
+
+
+# ---------------------------------------------------------------- libraries
+
+
+@contextlib.contextmanager
+def without_chatter() -> Iterator[None]:
+    """Keep off the terminal what a library prints in this thread: from C++, and by `print`.
+
+    What other threads print in Python still arrives, as far as they look up `sys.stdout` or
+    `sys.stderr` for it; what their C++ prints does not.
+    """
+    _chatter.enter()
+    try:
+        yield
+    finally:
+        _chatter.leave()
+
+
+class _Chatter:
+    """Leads file descriptor 2 into nothing while any thread is inside."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._inside: list[int] = []
+        self._before: dict[str, Any] = {}
+        self._instead: dict[str, Any] = {}
+        # Opened once and never closed: another thread may be writing to it at any moment.
+        self._aside: IO[str] | None = None
+
+    def enter(self) -> None:
+        with self._lock:
+            self._inside.append(threading.get_ident())
+            if len(self._inside) > 1:
+                return
+            self._before = {"stdout": sys.stdout, "stderr": sys.stderr}
+            self._instead = {"stdout": sys.stdout and _Apart(sys.stdout, self._inside)}
+            with contextlib.suppress(OSError):  # there is no stderr
+                self._lead_away()
+            for name, stream in self._instead.items():
+                setattr(sys, name, stream)
+
+    def _lead_away(self) -> None:
+        if self._aside is None:
+            self._aside = open(os.dup(2), "w", 1, errors="backslashreplace")  # noqa: SIM115
+        os.dup2(2, self._aside.fileno())
+        if _descriptor(sys.stderr) == 2:
+            sys.stderr.flush()
+        self._instead["stderr"] = self._aside if _descriptor(sys.stderr) == 2 else sys.stderr
+        nothing = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nothing, 2)
+        os.close(nothing)
+
+    def leave(self) -> None:
+        with self._lock:
+            self._inside.remove(threading.get_ident())
+            if self._inside:
+                return
+            if self._aside is not None and "stderr" in self._instead:
+                os.dup2(self._aside.fileno(), 2)
+            for name, stream in self._instead.items():
+                if getattr(sys, name) is stream:
+                    setattr(sys, name, self._before[name])
+
+
+class _Apart:
+    """A stream that takes nothing from some threads."""
+
+    def __init__(self, stream: Any, deaf_to: list[int]) -> None:
+        self._stream, self._deaf_to = stream, deaf_to
+
+    def write(self, text: str) -> int:
+        if threading.get_ident() in self._deaf_to:
+            return len(text)
+        return self._stream.write(text)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+
+def _descriptor(stream: Any) -> int:
+    """Of a stream, -1 if it has none."""
+    try:
+        return stream.fileno()
+    except (AttributeError, OSError, ValueError):
+        return -1
+
+
+_chatter = _Chatter()
 
 
 # ---------------------------------------------------------------- words

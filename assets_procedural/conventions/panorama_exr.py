@@ -3,11 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import io
-import os
-import sys
-import tempfile
-import threading
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from assets_procedural.conventions import console
 from assets_procedural.conventions.primaries import REC709, SAME, SPACES
 from assets_procedural.conventions.stored_panorama import (
     PanoramaError,
@@ -25,13 +21,12 @@ from assets_procedural.conventions.stored_panorama import (
 
 MAGIC = b"\x76\x2f\x31\x01"
 """The first bytes of every OpenEXR file."""
-_quiet = threading.Lock()
 
 
 def read_exr(path: Path, choice: str, largest: int | None) -> StoredPanorama:
     import OpenEXR
 
-    with _without_chatter(), _damaged(path):
+    with console.without_chatter(), _damaged(path):
         header = OpenEXR.File(str(path), header_only=True)
     layers = _layers(header)
     part, names = _choose(path, choice, layers)
@@ -40,7 +35,7 @@ def read_exr(path: Path, choice: str, largest: int | None) -> StoredPanorama:
     texels = [int(np.prod(high.astype(np.int64) - low + 1)) for low, high in windows]
     channels = [len(part.header["channels"]) for part in header.parts]
     check_fits(path, 4 * sum(n * c for n, c in zip(texels, channels, strict=True)), largest)
-    with _without_chatter(), _damaged(path):
+    with console.without_chatter(), _damaged(path):
         file = OpenEXR.File(str(path), separate_channels=True)
         if len(file.parts) != len(header.parts):  # it leaves out what it cannot read
             raise ValueError("its pixels cannot be read")
@@ -86,7 +81,7 @@ def exr_header(path: Path, largest: int | None) -> Any:
     """A file opened without its pixels, which fit into memory."""
     import OpenEXR
 
-    with _without_chatter(), _damaged(path):
+    with console.without_chatter(), _damaged(path):
         file = OpenEXR.File(str(path), header_only=True)
         windows = [part.header["dataWindow"] for part in file.parts]
         texels = [int(np.prod(high.astype(np.int64) - low + 1)) for low, high in windows]
@@ -188,17 +183,3 @@ def _damaged(path: Path) -> Iterator[None]:
         raise PanoramaError(f"{path}: does not fit into memory; scale it down") from None
     except Exception as error:  # it raises whatever it likes
         raise PanoramaError(f"{path}: is damaged ({reason(error)}); copy it again") from None
-
-
-@contextlib.contextmanager
-def _without_chatter() -> Iterator[None]:
-    """Keep what the library prints, by Python and from C++, off the terminal."""
-    with _quiet, tempfile.TemporaryFile() as sink, contextlib.redirect_stdout(io.StringIO()):
-        sys.stderr.flush()
-        kept = os.dup(2)
-        try:
-            os.dup2(sink.fileno(), 2)
-            yield
-        finally:
-            os.dup2(kept, 2)
-            os.close(kept)

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+from assets_procedural.conventions import console
 from assets_procedural.conventions.pictures import open_picture
 
 LARGEST = 4 << 30
@@ -73,17 +74,20 @@ def decode_exr(data: bytes, most: int = LARGEST) -> dict[str, np.ndarray]:
     """Channel name -> (H, W) plane, in the type it is stored in."""
     import OpenEXR
 
-    parts = OpenEXR.File(io.BytesIO(data), separate_channels=True, header_only=True).parts
-    header = parts[0].header
-    if len(parts) != 1 or header["type"] != OpenEXR.scanlineimage:
-        raise ValueError("is an EXR of several parts, of tiles or of depths, not of scan lines")
-    if any((c.xSampling, c.ySampling) != (1, 1) for c in header["channels"]):
-        raise ValueError("is an EXR with channels of several sizes")
-    low, high = (corner.tolist() for corner in header["dataWindow"])
-    width, height = (b - a + 1 for a, b in zip(low, high, strict=True))
-    _check_room(width * height * 4 * len(header["channels"]), most)
-    file = OpenEXR.File(io.BytesIO(data), separate_channels=True, num_threads=0)
-    return {name: np.array(channel.pixels) for name, channel in file.channels().items()}
+    with console.without_chatter():
+        parts = OpenEXR.File(io.BytesIO(data), separate_channels=True, header_only=True).parts
+        header = parts[0].header
+        if len(parts) != 1 or header["type"] != OpenEXR.scanlineimage:
+            raise ValueError("is an EXR of several parts, of tiles or of depths, not of scan lines")
+        if any((c.xSampling, c.ySampling) != (1, 1) for c in header["channels"]):
+            raise ValueError("is an EXR with channels of several sizes")
+        low, high = (corner.tolist() for corner in header["dataWindow"])
+        width, height = (b - a + 1 for a, b in zip(low, high, strict=True))
+        _check_room(width * height * 4 * len(header["channels"]), most)
+        file = OpenEXR.File(io.BytesIO(data), separate_channels=True, num_threads=0)
+        if not file.parts:  # it leaves out what it cannot read
+            raise ValueError("is an EXR whose pixels are damaged")
+        return {name: np.array(channel.pixels) for name, channel in file.channels().items()}
 
 
 def encode_npz(arrays: dict[str, np.ndarray]) -> bytes:

@@ -65,8 +65,12 @@ def quality(shot: Shot, format: int = FORMAT) -> dict[str, float]:
 
 
 def _light_levels(shot: Shot, format: int) -> int:
-    """Largest difference between rgb and D(exposure · hdr) on opaque pixels; 0 without hdr."""
-    if shot.hdr is None:
+    """Largest difference between rgb and D(exposure · hdr) on opaque pixels; 0 without hdr.
+
+    A lens that blurs, and grain, are no function of a pixel's light: with them it is not asked.
+    """
+    lens = shot.meta.get("lens", {})
+    if shot.hdr is None or any(lens.get(name) for name in ("bloom", "blur", "grain", "sharpen")):
         return 0
     opaque = shot.alpha == 255
     display = first_curve.display if format == 1 else colour.display

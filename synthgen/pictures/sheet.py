@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 import numpy as np
 from PIL import Image, ImageDraw
 
+from assets_procedural.conventions import console
 from synthgen.dataset.folder import Place
 from synthgen.dataset.reading import Dataset, open_dataset
 from synthgen.dataset.records import Description, PlannedSubset
@@ -29,6 +31,8 @@ from synthgen.pictures.page import (
 )
 
 SHEET = 1560
+MOST = 200
+"""Pictures on one page."""
 
 
 @dataclass
@@ -59,36 +63,56 @@ def sheet(out: Place, target: Path | str, subjects: int = 6) -> Path:
     its environments (rows), the passes of one shot, and the environments. Raises `StorageError`
     if nothing is finished yet.
     """
-    dataset = open_dataset(out)
-    info = dataset.description
-    grouped = dataset.subjects()
-    blocks = []
-    for subset, plan in info.plan.items():
-        chosen = _spread([p for (s, _), p in grouped.items() if s == subset], subjects)
-        shots = [[dataset[i] for i in _spread(positions, 8)] for positions in chosen]
-        if shots:
-            blocks.append(_Block(_title(subset, plan), shots))
-    page = _Sheet(info, dataset, blocks)
-    people, frames = (
-        len(grouped),
-        sum(info.plan[s].environments * len(p) for (s, _), p in grouped.items()),
-    )
-    height = page.draw(None, people, frames)
-    image = Image.new("RGB", (SHEET, height), PAPER)
-    page.draw(image, people, frames)
-    return save(image, Path(target))
+    with console.progress("drawing the sheet") as advance:
+        dataset = open_dataset(out)
+        info = dataset.description
+        grouped = dataset.subjects()
+        chosen: dict[str, list[list[int]]] = {}
+        for subset in info.plan:
+            people = _spread([p for (s, _), p in grouped.items() if s == subset], subjects)
+            chosen[subset] = [_spread(positions, 8) for positions in people]
+        total = sum(len(positions) for each in chosen.values() for positions in each)
+        done = itertools.count(1)
+
+        def read(position: int) -> Shot:
+            shot = dataset[position]
+            advance(next(done), total)
+            return shot
+
+        blocks = [
+            _Block(title(subset, info.plan[subset]), [[read(i) for i in p] for p in each])
+            for subset, each in chosen.items()
+            if each
+        ]
+        page = _Sheet(info, dataset, blocks)
+        frames = sum(info.plan[s].environments * len(p) for (s, _), p in grouped.items())
+        height = page.draw(None, len(grouped), frames)
+        image = Image.new("RGB", (SHEET, height), PAPER)
+        page.draw(image, len(grouped), frames)
+        return save(image, Path(target))
 
 
-def portraits(out: Place, target: Path | str, people: int = 10, columns: int = 5) -> Path:
-    """Draw one picture of each of up to `people` subjects, `columns` in a row. Returns `target`."""
-    dataset = open_dataset(out)
-    first = [positions[0] for positions in list(dataset.subjects().values())[:people]]
-    chosen = [dataset[position] for position in first]
+def portraits(out: Place, target: Path | str, subset: str | None = None, columns: int = 5) -> Path:
+    """Draw pictures edge to edge, `columns` in a row. Returns `target`.
+
+    The first picture of every subject of the subset (of the dataset by default) or, if there is
+    one subject alone, all of its pictures: shot after shot, under one environment after the other.
+    At most `MOST`. Raises `StorageError` if nothing is finished yet.
+    """
+    dataset = open_dataset(out, subset=subset)
+    people = list(dataset.subjects().values())
+    single = len(people) == 1
+    chosen = people[0] if single else [positions[0] for positions in people[:MOST]]
+    images: list[np.ndarray] = []
+    for position in console.track(chosen, "drawing portraits"):
+        pictures = dataset[position].rgb
+        images.extend(pictures if single else pictures[:1])
+    images = images[:MOST]
     size = SHEET // columns
-    image = Image.new("RGB", (size * columns, size * -(-len(chosen) // columns)), PAPER)
-    for i, shot in enumerate(chosen):
-        put(image, Tile(shot.rgb[0], (i % columns) * size, (i // columns) * size, size, size))
-    return save(image, Path(target))
+    page = Image.new("RGB", (size * columns, size * -(-len(images) // columns)), PAPER)
+    for i, image in enumerate(images):
+        put(page, Tile(image, (i % columns) * size, (i // columns) * size, size, size))
+    return save(page, Path(target))
 
 
 class _Sheet:
@@ -105,7 +129,9 @@ class _Sheet:
         self._text(self.info.name, 34, INK, 42)
         resolution = self.info.job.get("resolution", "?")
         self._text(
-            f"{people} people, {frames} images of {resolution} x {resolution} pixels", 15, FAINT, 34
+            f"{console.count(people, 'person', 'people')}, {console.count(frames, 'image')} of "
+            f"{resolution} x {resolution} pixels",
+            *(15, FAINT, 34),
         )
         self._heroes()
         for block in self.blocks:
@@ -176,9 +202,13 @@ class _Sheet:
             put(self.image, Tile(picture, x, y, width, height, label))
 
 
-def _title(subset: str, plan: PlannedSubset) -> str:
-    each = "views" if plan.kind == "multiview" else "frames of a track"
-    return f"{subset}: {plan.shots_per_subject} {each} under {plan.environments} environments"
+def title(subset: str, plan: PlannedSubset) -> str:
+    """What a subset's part of the sheet shows."""
+    if plan.kind == "multiview":
+        each = console.count(plan.shots_per_subject, "view")
+    else:
+        each = f"{console.count(plan.shots_per_subject, 'frame')} of a track"
+    return f"{subset}: {each} under {console.count(plan.environments, 'environment')}"
 
 
 def _person(shot: Shot) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from assets_procedural.conventions import console
 from synthgen.dataset import passes
 from synthgen.dataset.folder import DatasetFolder
 from synthgen.dataset.records import Counts, Description
@@ -32,6 +33,12 @@ def totals(info: Description) -> Counts:
     )
 
 
+def contents(total: Counts) -> str:
+    """What a dataset holds, in words: 60 synthetic portraits of 5 people."""
+    portraits = console.count(total.frames, "synthetic portrait")
+    return f"{portraits} of {console.count(total.subjects, 'person', 'people')}"
+
+
 def _splits(info: Description, subset: str) -> list[str]:
     return [s for s in SPLITS if info.counts[subset][s].shots]
 
@@ -48,7 +55,7 @@ def card(info: Description) -> str:
     lines += ["---", "", f"# {info.name}", ""]
     total, job = totals(info), info.job
     lines += [
-        f"{total.frames} synthetic portraits of {total.subjects} people at "
+        f"{contents(total)} at "
         f"{job['resolution']}², rendered by synthgen {info.code['version']} with seed "
         f"{job['seed']}. Every person is made of parameters; nobody is real.",
         "",
@@ -62,7 +69,8 @@ def card(info: Description) -> str:
                 f"| {subset} | {plan.kind} | {split} | {c.subjects} | {c.shots} | {c.frames} |"
             )
     if info.quarantined:
-        lines += ["", f"{len(info.quarantined)} subjects failed and are left out."]
+        failed = console.count(len(info.quarantined), "subject")
+        lines += ["", f"Left out: {failed} that failed."]
     lines += ["", "## A sample", "", "| field | content |", "|---|---|"]
     lines += [f"| `{name}` | {text} |" for name, text in _fields(info).items()]
     first = next(iter(info.plan))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from synthgen.dataset.records import Description
-from synthgen.publish.card import HERE, totals
+from synthgen.publish.card import HERE, contents, totals
 from synthgen.publish.licences import licence
 
 # The specification's, of terms in its own vocabulary, which go by the same name with a prefix.
@@ -98,8 +98,7 @@ def croissant(info: Description) -> dict[str, Any]:
         "@type": "sc:Dataset",
         "conformsTo": "http://mlcommons.org/croissant/1.1",
         "name": info.name,
-        "description": f"{total.frames} synthetic portraits of {total.subjects} people with "
-        "geometry, masks, cameras and environments.",
+        "description": f"{contents(total)} with geometry, masks, cameras and environments.",
         "license": licence(info)[1],
         "citeAs": f"{info.name}, rendered by synthgen {info.code['version']}",
         # Relative to this file: where the dataset will be published is not known here.

@@ -50,7 +50,7 @@ def verify(out: Place, workers: int | None = None) -> list[str]:
     same_code = info.get("code") == publish.code_version()
     planned = [s for subset in plan.job.subsets for s in plan.shards(subset)]
     tables = {}
-    for subset in plan.job.subsets:
+    for subset in console.track(plan.job.subsets, "verifying manifests"):
         path = folder.manifest(subset)
         name = folder.relative(path)
         tables[subset] = name not in unreadable and path.is_file()
@@ -101,7 +101,8 @@ def _check_files(folder: DatasetFolder, info: dict[str, Any], plan: Plan) -> Ite
     panoramas = {folder.relative(folder.environment(i)) for i in plan.environment_ids}
     manifests = {folder.relative(folder.manifest(subset)) for subset in plan.job.subsets}
     recorded = info.get("files", {})
-    for name in sorted(panoramas | manifests | set(recorded)):
+    names = sorted(panoramas | manifests | set(recorded))
+    for name in console.track(names, "verifying panoramas and manifests"):
         path = folder.inside(name)
         if not path.is_file():
             if info.get("complete") or name in panoramas:
@@ -139,7 +140,7 @@ def _check_list(folder: DatasetFolder, info: dict[str, Any], plan: Plan) -> Iter
     for subset in plan.job.subsets:
         for _, record in ledger.committed(folder, subset):
             elsewhere[record.tar] = record.sha256
-    for name, digest in listed.items():
+    for name, digest in console.track(listed.items(), "verifying hashes"):
         path = folder.inside(name)
         if not path.is_file():
             yield f"{name}: missing"
@@ -180,9 +181,9 @@ def _check_table(
     known = {folder.relative(tar): tar for tar in tars}
     for shard, rows in shards.items():
         if shard not in known or not known[shard].is_file():
-            yield f"{name}: {rows} rows of {shard}, a shard that is not there"
+            yield f"{name}: {console.count(rows, 'row')} of {shard}, a shard that is not there"
     if repeated:
-        yield f"{name}: {repeated} rows repeat the key of another"
+        yield f"{name}: {console.count(repeated, 'row')} with the key of another"
 
 
 def _check_totals(

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+from assets_procedural.conventions import console
 from assets_procedural.conventions.files import open_regular, read_regular, sha256
 from synthgen.dataset import columns, manifest
 from synthgen.dataset.folder import DatasetFolder
@@ -95,7 +96,7 @@ def _shard_problems(
         rows = {r["key"]: r for r in manifest.read_rows(table, record.tar)}
     yield from _samples(folder, shard, path, rows, same_code, counts)
     if rows:
-        yield f"lacks {len(rows)} shots of the manifest, first {next(iter(rows))}"
+        yield f"lacks {console.count(len(rows), 'shot')} of the manifest, first {next(iter(rows))}"
 
 
 def _samples(

@@ -15,6 +15,8 @@ from assets_procedural.conventions.colour import (
 )
 from assets_procedural.conventions.parts import Part
 from assets_procedural.light.backdrop import backdrop, blur_radius
+from synthgen.planning.job import LensSettings
+from synthgen.stage.lens import finish
 
 # What a face of medium albedo is exposed to, linear, and how far the meter follows dark skin: 1
 # would make all skins equally bright, 0 would meter the incident light alone.
@@ -84,12 +86,15 @@ def develop(
     alpha: np.ndarray,
     exposure: float,
     background: np.ndarray | tuple[float, float, float] | None,
+    lens: LensSettings,
+    rng: np.random.Generator,
 ) -> np.ndarray:
     """The display-referred picture: (H, W, 3) uint8, or (H, W, 4) without a `background`.
 
     `linear` (H, W, 3) premultiplied; `alpha` (H, W) in [0, 1]; `background` is linear radiance
     (H, W, 3) under the same exposure, or one display-referred colour in [0, 1], over which the
-    picture is laid. A transparent
+    picture is laid. `lens` and `rng`, for its grain, finish a picture of an environment. A
+    transparent
     picture has straight alpha: its colour is the foreground's own.
     """
     light = exposure * linear
@@ -102,4 +107,5 @@ def develop(
         subject = coverage * srgb_decode(display(straight))
         page = (1 - coverage) * srgb_decode(np.array(background))
         return to_bytes(srgb_encode(subject + page))
-    return to_bytes(display(light + (1 - coverage) * exposure * background))
+    whole = light + (1 - coverage) * exposure * background
+    return to_bytes(finish(whole, lens, rng))

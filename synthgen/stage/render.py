@@ -13,13 +13,13 @@ import numpy as np
 
 from assets_procedural.assembly import pieces
 from assets_procedural.body.head import Bust, HeadModel
-from assets_procedural.body.landmarks import landmarks
+from assets_procedural.body.landmarks import PUPILS, landmarks
 from assets_procedural.conventions import panorama_reading
 from assets_procedural.conventions.camera import Camera, resolve
 from assets_procedural.conventions.colour import srgb_encode, to_bytes
 from synthgen.dataset.passes import PASSES
 from synthgen.dataset.shot import RenderedSubject, Shot, describe
-from synthgen.planning.job import JobSpec
+from synthgen.planning.job import JobSpec, LensSettings
 from synthgen.planning.plan import ShotPlan, SubjectPlan
 from synthgen.planning.turning import turned
 from synthgen.stage import photograph, scene
@@ -64,7 +64,9 @@ def render_subject(
                 for s in taken
             }
         with clock("beauty"):
-            linear = _beauty(subject, job, environments, taken, cameras)
+            pupils = landmarks(bust)[list(PUPILS.values())]
+            focus = {key: float(c.project(pupils)[1].mean()) for key, c in cameras.items()}
+            linear = _beauty(subject, job, environments, taken, cameras, focus)
         scene.set_mode("labels", job.samples)
         for shot in taken:
             camera = cameras[shot.key]
@@ -92,6 +94,7 @@ def _beauty(
     environments: Path,
     taken: list[ShotPlan],
     cameras: dict[str, Camera],
+    focus: dict[str, float],
 ) -> _Beauty:
     scene.set_mode("beauty", job.samples)
     images: _Beauty = {shot.key: [] for shot in taken}
@@ -99,6 +102,7 @@ def _beauty(
         scene.set_light(environments / f"{use.id}.exr", use.rotation)
         for shot in taken:
             scene.set_camera(cameras[shot.key])
+            scene.set_focus(job.lens.f_number, focus[shot.key])
             seed = (use.seed + shot.seed) % 2**31
             images[shot.key].append(scene.shoot_beauty(seed, cameras[shot.key]))
     return images
@@ -138,8 +142,11 @@ def compose_shot(
             background = photograph.behind(around, camera, use.rotation, distance)
             factor *= photograph.spared(factor * background, alpha)
         factor *= 2.0**use.exposure
+        rng = np.random.default_rng([use.seed, plan.seed])
         factors.append(factor)
-        pictures.append(photograph.develop(image[..., :3], alpha, factor, background))
+        pictures.append(
+            photograph.develop(image[..., :3], alpha, factor, background, job.lens, rng)
+        )
 
     points = landmarks(bust)
     pixels, depth = camera.project(points)
@@ -153,6 +160,8 @@ def compose_shot(
         visible(pixels, depth, labels["depth"]),
     )
     meta["exposures"] = factors
+    if job.lens != LensSettings():
+        meta["lens"] = job.lens.model_dump(mode="json", exclude_none=True)
     geometry = control_geometry(bust)
     meta["joints"] = list(bust.bones)
     geometry["landmarks"] = points.astype(np.float32)

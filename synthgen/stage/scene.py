@@ -162,6 +162,14 @@ def set_camera(camera: Camera) -> None:
     viewer.data.clip_start, viewer.data.clip_end = 0.01, 1000.0
 
 
+def set_focus(f_number: float | None, distance: float) -> None:
+    """Focus beauty renders at a planar `distance` in metres; None: all is in focus."""
+    field = bpy.context.scene.camera.data.dof
+    field.use_dof = f_number is not None
+    if f_number is not None:
+        field.aperture_fstop, field.focus_distance = f_number, distance
+
+
 def hold_scene() -> None:
     """Let Cycles hold its scene between renders: a change of camera or light then costs little."""
     bpy.context.scene.render.use_persistent_data = True
@@ -185,6 +193,8 @@ def set_mode(mode: Mode, samples: int) -> None:
     scene.render.use_compositing = not labels
     scene.cycles.filter_width = 0.01 if labels else 1.5
     scene.cycles.max_bounces = 0 if labels else 6
+    if labels:
+        scene.camera.data.dof.use_dof = False
     # Hidden from the camera, not taken out: Cycles would build the strands' BVH anew.
     for clear in bpy.data.objects:
         if clear.get("hidden_from_labels"):

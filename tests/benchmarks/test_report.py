@@ -4,20 +4,9 @@ from __future__ import annotations
 
 import mmap
 import time
-from pathlib import Path
 from types import ModuleType
 
 import pytest
-
-BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
-
-
-@pytest.fixture
-def report(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    monkeypatch.syspath_prepend(BENCHMARKS)
-    import report
-
-    return report
 
 
 def test_the_clock_tells_waiting_from_work(report: ModuleType):

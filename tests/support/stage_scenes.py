@@ -10,7 +10,7 @@ import numpy as np
 from assets_procedural.conventions import panorama, panorama_files
 from assets_procedural.conventions.camera import CameraSample, resolve
 from assets_procedural.motion.poses import Pose
-from assets_procedural.person import Beard, Hair, Person
+from assets_procedural.person import Beard, Glasses, Hair, Person
 from synthgen.planning.job import JobSpec, SubsetSpec
 from synthgen.planning.plan import EnvironmentUse, ShotPlan, SubjectPlan
 
@@ -205,6 +205,41 @@ def bare_head(folder: Path) -> dict[str, np.ndarray]:
         "mean_normal": mean.normal,
         "coverage": mean.image[..., 3],
     }
+
+
+def furnace() -> dict[str, np.ndarray]:
+    """A pair of eyes in light of 1 from everywhere, linear (SIZE, SIZE, 3) each.
+
+    "bare" without clear surfaces, "eyes" with corneas and tears, "glasses" with lenses.
+    """
+    import bpy
+
+    from assets_procedural.assembly import pieces
+    from assets_procedural.body.head import HeadModel
+    from assets_procedural.body.landmarks import landmarks
+    from synthgen.stage import scene
+    from synthgen.stage.build import build_figure
+    from synthgen.stage.nodes import Graph
+
+    person = Person(hair=Hair(style="bald"), glasses=Glasses())
+    identity = HeadModel.load().identity(person)
+    scene.open_stage(SIZE, 64, "cpu", 1)
+    figure = build_figure(person, identity, pieces(person, identity))
+    graph = Graph(bpy.context.scene.world)
+    light = graph.node("Background", {"Color": (1.0, 1.0, 1.0)})
+    graph.node("OutputWorld", {"Surface": light.outputs[0]})
+    eyes = landmarks(identity.neutral)[36:48].mean(axis=0)
+    scene.set_camera(resolve(CameraSample(fill=2.0), eyes, 0.2, SIZE))
+    scene.set_mode("beauty", 64)
+    bpy.context.scene.cycles.use_denoising = False
+    bpy.context.scene.render.use_compositing = False
+    images = {}
+    for name, shown in {"bare": (), "eyes": ("cornea", "tear"), "glasses": ("lens",)}.items():
+        for piece, object_ in figure.pieces:
+            if getattr(piece, "hidden_from_labels", False):
+                object_.hide_render = piece.material not in shown
+        images[name] = scene.render_layers()["Combined"][..., :3]
+    return images
 
 
 def dressed(folder: Path, light: str) -> list:

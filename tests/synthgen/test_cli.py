@@ -20,9 +20,10 @@ import duckdb
 import fake_renderer
 import pytest
 from answer import Answer
+from PIL import Image
 
 from assets_procedural.conventions import console
-from synthgen import __version__, cli
+from synthgen import __version__, cli, open_dataset
 
 ROOT = Path(__file__).parents[2]
 FAKE = ("--renderer", fake_renderer.RENDERER)
@@ -286,6 +287,57 @@ def test_query_sheet_and_export(synthgen: Synthgen, out: Path) -> None:
         result = synthgen(command, out)
         assert result.returncode == 0, result.stderr
         assert Path(result.stdout.split()[-1]).exists()
+
+
+def test_pictures_edge_to_edge_and_a_clip(synthgen: Synthgen, out: Path, tmp_path: Path) -> None:
+    page, played = tmp_path / "people.png", tmp_path / "clip.webp"
+    chosen = ("--portraits", "--subset", "multiview", "--columns", "3")
+    assert synthgen("sheet", out, *chosen, "--output", page).returncode == 0
+    people = len(open_dataset(out, subset="multiview").subjects())
+    with Image.open(page) as image:
+        assert image.size == (1560, 520 * -(-people // 3))
+    shots = open_dataset(out, subset="video").subjects()["video", "s000001"]
+    assert synthgen("clip", out, "video/s000001", "--output", played, "--fps", "10").returncode == 0
+    with Image.open(played) as image:
+        assert getattr(image, "n_frames", 1) == len(shots)
+        image.seek(len(shots) - 1)
+        image.load()
+        assert image.info["duration"] == 100
+
+
+def test_a_clip_of_nothing_is_one_line(failure: Callable[..., str], out: Path) -> None:
+    assert "s000077 is no subject of it" in failure("clip", out, "video/s000077")
+    assert "not 7" in failure("clip", out, "video/s000001", "--environment", "7")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("sheet",), ("drawing the sheet: ",)),
+        (("sheet", "--portraits"), ("drawing portraits: ",)),
+        (("export",), ("exporting: ",)),
+        (
+            ("verify",),
+            tuple(
+                f"verifying {what}: "
+                for what in ("panoramas and manifests", "hashes", "manifests", "shards")
+            ),
+        ),
+    ],
+)
+def test_long_work_says_from_its_start_how_far_it_is(
+    synthgen: Synthgen,
+    out: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    arguments: tuple[str, ...],
+    said: tuple[str, ...],
+) -> None:
+    monkeypatch.setattr(console, "FIRST_LINE", 0.0)
+    command, *options = arguments
+    result = synthgen(command, out, *options)
+    assert result.returncode == 0
+    for line in said:
+        assert line in result.stderr
 
 
 KEYS = [

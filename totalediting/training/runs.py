@@ -10,6 +10,7 @@ import errno
 import logging
 import os
 import pkgutil
+from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
@@ -133,17 +134,27 @@ def train_stage(name: str, settings: RunSettings) -> Figures:
     return figures
 
 
-def evaluate(run: Path, data: Path, split: str) -> dict[str, Figures]:
+def evaluate(
+    run: Path,
+    data: Path,
+    split: str,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> dict[str, Figures]:
     """Figures of every stage that was trained in `run`, on all of a split of any dataset.
+
+    `progress` is called with stages (done, total).
 
     Raises:
         InputError: nothing was trained there, or there is no such dataset or split.
     """
+    specs = stages.STAGES.values()
+    trained = [s for s in specs if checkpoints.best_step(s.folder(run)) is not None]
+    if not trained:
+        raise InputError(f"{run}: nothing was trained there; train it first")
     found = {}
-    for spec in stages.STAGES.values():
+    for spec in trained:
+        progress(len(found), len(trained))
         folder = spec.folder(run)
-        if checkpoints.best_step(folder) is None:
-            continue
         config, preset = checkpoints.read_config(folder), checkpoints.preset_of(folder)
         settings = StageSettings(Path(config["data"]), preset, run, config["steps"])
         stage = build(spec.name, settings)
@@ -151,8 +162,6 @@ def evaluate(run: Path, data: Path, split: str) -> dict[str, Figures]:
         checkpoints.load_best(folder, stage.network)
         with torch.no_grad():
             found[spec.name] = stage.validate(stage.network.eval()).figures
-    if not found:
-        raise InputError(f"{run}: nothing was trained there; train it first")
     return found
 
 

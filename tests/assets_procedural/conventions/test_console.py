@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+import threading
 import time
 
 import pytest
@@ -74,3 +78,36 @@ def test_a_console_takes_every_string_for_text(capsys: pytest.CaptureFixture[str
     console.say(words)
     printed = capsys.readouterr().out
     assert printed.count(shown) == 5 and "\x1b" not in printed
+
+
+def test_a_library_is_not_heard_and_other_threads_are(capfd: pytest.CaptureFixture[str]):
+    def other() -> None:
+        print("other out", flush=True)
+        print("other err", file=sys.stderr, flush=True)
+
+    with console.without_chatter(), console.without_chatter():
+        os.write(2, b"from C\n")
+        print("from Python")
+        thread = threading.Thread(target=other)
+        thread.start()
+        thread.join()
+    os.write(2, b"later C\n")
+    print("later")
+    assert capfd.readouterr() == ("other out\nlater\n", "other err\nlater C\n")
+
+
+def test_progress_is_heard_while_a_library_is_not():
+    """In a process of its own, whose `sys.stderr` is file descriptor 2."""
+    program = """
+import os, time
+from assets_procedural.conventions import console
+console.FIRST_LINE = 0.05
+with console.progress("reading"), console.without_chatter():
+    os.write(2, b"from C")
+    time.sleep(0.5)
+os.close(2)
+with console.without_chatter():
+    pass
+"""
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert (ended.returncode, ended.stderr) == (0, "reading: 0 s so far\n")

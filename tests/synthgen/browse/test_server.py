@@ -170,6 +170,26 @@ def test_the_first_answers_come_from_parquet_and_are_the_same(
         assert early_counts == ask.get("/api/counts", params=texts).json()
 
 
+@pytest.mark.parametrize("name", ["a[b]", "[!x]*", "wh?t", "it's {} %"])
+def test_a_folder_whose_name_is_a_pattern_is_read_before_and_after_it_is_in_memory(
+    ask: TestClient, small_dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+):
+    monkeypatch.setattr(snapshots, "_SMALL", 0)
+    monkeypatch.setattr(snapshots, "_PATIENCE", 60.0)
+    shutil.copytree(small_dataset / "manifest", tmp_path / name / "manifest")
+    shutil.copy(small_dataset / "dataset.json", tmp_path / name)
+    library = Library(Folder(tmp_path / name))
+    try:
+        early = client(tmp_path / name, tmp_path, library)
+        assert not library.snapshot().in_memory
+        query = {"where": "view = 1", "sort": "camera_yaw"}
+        assert selected(early, **query) == selected(ask, **query)
+        assert library.wait().in_memory
+        assert selected(early, **query) == selected(ask, **query)
+    finally:
+        library.close()
+
+
 def test_what_is_being_loaded_ends_with_the_server(
     small_dataset: Path, monkeypatch: pytest.MonkeyPatch
 ):

@@ -126,3 +126,11 @@ def test_every_picture_is_opened_as_one_format():
         for path in (ROOT / package).rglob("*.py"):
             for call in re.findall(r"Image\.open\(.*", path.read_text()):
                 assert "formats=[" in call, f"{path}: {call}"
+
+
+def test_a_damaged_exr_is_one_error_and_no_lines_of_its_library(capfd: pytest.CaptureFixture[str]):
+    whole = codecs.encode_exr({"R": np.linspace(0, 1, 4096, dtype=np.float32).reshape(64, 64)})
+    for damaged in (whole[: len(whole) // 2], whole[:500] + bytes(300) + whole[800:]):
+        with pytest.raises(ValueError, match="pixels are damaged"):
+            codecs.decode_exr(damaged)
+    assert capfd.readouterr() == ("", "")

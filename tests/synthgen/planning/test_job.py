@@ -144,11 +144,14 @@ BAD_VALUES = [
     ("subsets.multiview.environments=5", "environments = 5: the pool has only 3; lower it, or add"),
     ("samples", "--set: samples: write key=value, for example --set samples=8"),
     ("=3", "--set: =3: write key=value"),
+    ("samples=" + "[" * 2000, "give a whole number"),
+    ("samples=" + "9" * 5000, "give a whole number"),
+    ("seed=0x" + "f" * 5000, "--set: a number is too long, or a value is nested too deeply"),
     ("seed.x=3", '--set: seed.x = 3: "seed" is a value, not a table'),
 ]
 
 
-@pytest.mark.parametrize(("override", "expected"), BAD_VALUES, ids=[b[0] for b in BAD_VALUES])
+@pytest.mark.parametrize(("override", "expected"), BAD_VALUES, ids=[b[0][:60] for b in BAD_VALUES])
 def test_bad_values(tmp_path: Path, override: str, expected: str) -> None:
     text = GOOD.replace('name = "test"\n', 'name = "test"\nseed = 1\n')
     assert expected in message(write(tmp_path, text), override)
@@ -167,10 +170,22 @@ BAD_FILES = [
     ('name = "empty"', "job.toml: subsets: is missing; add it"),
     ("name = \n", "job.toml: is not valid TOML: Invalid value (at line 1, column 8)"),
     (GOOD + "[environments]\n", "job.toml: is not valid TOML: Cannot declare ('environments',)"),
+    ("a = " + "[" * 2000 + "]" * 2000, "is not valid TOML: brackets are nested too deeply"),
+    ("a = " + "{b = " * 2000 + "1" + "}" * 2000, "is not valid TOML: brackets are nested too deep"),
+    ("seed = " + "7" * 5000 + GOOD, "job.toml: is not valid TOML: a number is too long"),
+    ("seed = 0x" + "7" * 5000 + GOOD, "job.toml: a number is too long, or a value is nested"),
+    (
+        GOOD.replace("skies = 3", 'folder = "~nosuchuser/x"'),
+        'environments.folder = "~nosuchuser/x": there is no such user; give the',
+    ),
+    (
+        GOOD.replace("skies = 3", r'folder = "a\u0000b"'),
+        r'environments.folder = "a\u0000b": holds a null byte; give another',
+    ),
 ]
 
 
-@pytest.mark.parametrize(("text", "expected"), BAD_FILES)
+@pytest.mark.parametrize(("text", "expected"), BAD_FILES, ids=[b[1][:40] for b in BAD_FILES])
 def test_bad_files(tmp_path: Path, text: str, expected: str) -> None:
     assert expected in message(write(tmp_path, text))
 
@@ -178,6 +193,10 @@ def test_bad_files(tmp_path: Path, text: str, expected: str) -> None:
 def test_missing_file_suggests_a_near_one(tmp_path: Path) -> None:
     write(tmp_path, GOOD)
     assert message(tmp_path / "jbo.toml").startswith("jbo.toml: no such job file: did you mean")
+
+
+def test_the_mark_of_windows_editors_is_no_fault(tmp_path: Path) -> None:
+    assert load_job(write(tmp_path, "\ufeff" + GOOD)).name == "test"
 
 
 def test_binary_file(tmp_path: Path) -> None:

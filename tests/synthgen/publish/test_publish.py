@@ -14,9 +14,10 @@ import yaml
 from assets_procedural.conventions.files import sha256
 from synthgen.dataset import open_dataset
 from synthgen.dataset.folder import StorageError
-from synthgen.dataset.records import Counts, read_description
+from synthgen.dataset.records import Counts, PlannedSubset, read_description
 from synthgen.dataset.shards import read_sample
 from synthgen.farm.local import render_job
+from synthgen.pictures import sheet
 from synthgen.publish import card, publish
 
 JOB = fake_renderer.small_job()
@@ -60,6 +61,15 @@ def test_card_has_configs_with_files(out: Path):
             assert list(out.glob(entry["path"])), entry
     assert "38 synthetic portraits of 8 people" in text
     assert "Apache-2.0" in text
+
+
+def test_one_of_a_kind_is_no_plural():
+    one = card.contents(Counts(subjects=1, shots=1, frames=1))
+    assert one == "1 synthetic portrait of 1 person"
+    plan = PlannedSubset(kind="video", subjects=1, shots_per_subject=1, frames_per_subject=1)
+    assert sheet.title("video", plan) == "video: 1 frame of a track under 1 environment"
+    views = PlannedSubset(kind="multiview", subjects=1, shots_per_subject=2, frames_per_subject=2)
+    assert sheet.title("few", views) == "few: 2 views under 1 environment"
 
 
 def test_croissant_names_what_exists(out: Path):

@@ -285,7 +285,7 @@ DAMAGE: dict[str, tuple[Callable[[Path], object], str]] = {
     ),
     "manifest with repeated rows": (
         lambda o: forge_manifest(o, "*", "SELECT *"),
-        "rows repeat the key of another",
+        "with the key of another",
     ),
     "changed parameters of a subject": (
         lambda o: flip(next((o / "subjects/video").glob("*.json")), 3),

@@ -41,6 +41,16 @@ def test_a_bright_texel_lights_the_side_that_the_convention_says(blender, lights
     assert np.degrees(np.arccos(seen @ direction)) < 4  # a texel of the panorama spans 2.8 degrees
 
 
+def test_clear_surfaces_take_no_light_from_what_is_behind_them(blender):
+    shown = {name: image.mean(axis=-1) for name, image in blender(scenes.furnace).items()}
+    bare = shown.pop("bare")
+    for name, image in shown.items():
+        assert 0.99 < image.mean() / bare.mean() < 1.03, name
+        with_it, without = (i.reshape(8, 8, 8, 8).mean(axis=(1, 3)) for i in (image, bare))
+        assert (with_it / without).min() > 0.97, name
+        assert (with_it - without).max() < 0.08, name  # what two sides of a lens reflect
+
+
 def test_depth_and_normals_lie_on_the_evaluated_mesh(blender, lights):
     shown = blender(scenes.bare_head, lights)
     quads = shown["faces"]

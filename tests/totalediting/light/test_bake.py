@@ -18,7 +18,7 @@ import torch
 from answer import Answer
 from PIL import Image
 
-from assets_procedural.conventions import panorama, panorama_files, panorama_reading
+from assets_procedural.conventions import console, panorama, panorama_files, panorama_reading
 from assets_procedural.light.pool import EnvironmentSettings, pool
 from totalediting import cli
 from totalediting.errors import InputError
@@ -99,6 +99,14 @@ def test_the_file_holds_fifteen_float_channels_that_equal_the_bake(
     totalediting("bake", environment, "--out", out, "--size", 8)
     assert out.read_bytes() == first
     assert sorted(p.name for p in tmp_path.iterdir()) == ["maps.exr", "sky.exr"]
+
+
+def test_long_work_says_from_its_start_how_far_it_is(
+    totalediting: Run, environment: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(console, "FIRST_LINE", 0.0)
+    result = totalediting("bake", environment, "--out", tmp_path / "maps.exr")
+    assert result.returncode == 0 and "baking: 0 of 1" in result.stderr
 
 
 def test_unnormalised_maps_are_the_integrals(

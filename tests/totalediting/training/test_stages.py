@@ -14,6 +14,7 @@ from answer import Answer
 from PIL import Image
 from torch import nn
 
+from assets_procedural.conventions import console
 from totalediting import cli
 from totalediting.data.clips import ClipPair
 from totalediting.data.pairs import MIRRORED, PortraitPair, PortraitPairs
@@ -363,16 +364,23 @@ def test_a_page_shows_as_many_people_as_it_can(small_dataset: Path) -> None:
     assert sorted(shown) == people
 
 
-def test_a_trained_run_is_shown(totalediting: Run, small_dataset: Path, tmp_path: Path) -> None:
+def test_a_trained_run_is_shown(
+    totalediting: Run, small_dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     for stage in ("lightmaps", "reconstruct"):
         run = ["train", stage, small_dataset, "--out", tmp_path / "run", "--batch", 1]
         assert totalediting(*run, "--steps", 1, "--workers", 0).returncode == 0
     page = showcase.draw(tmp_path / "run", small_dataset, tmp_path / "page.png", 2, "train")
     with Image.open(page) as picture:
         assert picture.width > 11 * 128 and picture.height > 2 * 128
+    monkeypatch.setattr(console, "FIRST_LINE", 0.0)
     figures = totalediting("evaluate", tmp_path / "run", small_dataset, "--split", "validation")
+    assert "measuring stages: 0 s so far\n" in figures.stderr
+    shown = totalediting("show", tmp_path / "run", small_dataset, "--output", tmp_path / "p.png")
+    assert shown.returncode == 0 and "drawing: 0 s so far\n" in shown.stderr
     assert "lightmaps: light error / that of the mean light: " in figures.stdout
     assert "reconstruct: PSNR of the source: " in figures.stdout
+    monkeypatch.setattr(console, "FIRST_LINE", 60.0)
     empty = totalediting("evaluate", tmp_path, small_dataset).error
     assert "nothing was trained there" in empty
     missing = totalediting("show", tmp_path / "nothing", small_dataset).error
