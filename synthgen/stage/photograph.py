@@ -20,7 +20,7 @@ from synthgen.stage.lens import finish
 
 # What a face of medium albedo is exposed to, linear, and how far the meter follows dark skin: 1
 # would make all skins equally bright, 0 would meter the incident light alone.
-_FACE_LEVEL = 0.30
+_FACE_LEVEL = 0.26
 _MEDIUM_ALBEDO = 0.40
 _FOLLOW = 0.38
 _BRIGHT = 1.2  # linear, of a background: brighter ones are metered, too

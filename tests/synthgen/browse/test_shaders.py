@@ -1,4 +1,4 @@
-"""The page's shader has the numbers of the display transform; in a browser, `test_views` compares."""
+"""The page's shader has the numbers of the curve; in a browser, `test_views` compares."""
 
 from __future__ import annotations
 
