@@ -64,13 +64,12 @@ def measure(index: int, resolution: int) -> dict[str, float]:
     lights = subject.environments
     scene.set_mode("beauty", 2)
     scene.set_light(folder / f"{lights[0].id}.exr", lights[0].rotation)
-    scene.shoot_beauty(0)  # compiles kernels and uploads the scene
+    scene.shoot_beauty(0, camera)  # compiles kernels and uploads the scene
 
     def frame(samples: int, denoise: bool, light: int) -> float:
         scene.set_mode("beauty", samples)
         settings: Any = bpy.context.scene  # pyright: ignore[reportAttributeAccessIssue]
         settings.cycles.use_denoising = denoise
-        settings.render.use_compositing = denoise
         scene.set_light(folder / f"{lights[light].id}.exr", lights[light].rotation)
         with report.clock() as took:
             scene.render_layers()
@@ -85,12 +84,12 @@ def measure(index: int, resolution: int) -> dict[str, float]:
     seconds["denoise"] = max(0.0, frame(2, True, 1) - few)
 
     scene.set_mode("beauty", 8)
-    linear = [scene.shoot_beauty(1)] * 2
+    seen = [scene.shoot_beauty(1, camera)] * 2
     scene.set_mode("labels", 8)
     with timed("labels"):
         labels = scene.shoot_labels(camera)
     with timed("develop"):
-        args = (subject, subject.shots[0], job, folder, camera, bust, linear, labels)
+        args = (subject, subject.shots[0], job, folder, camera, bust, seen, labels)
         shot = render.compose_shot(*args)
     with timed("write"):
         encode(shot)
@@ -121,7 +120,7 @@ def fidelity(index: int, resolution: int, reference: int) -> list[float]:
 
     def shoot(samples: int, seed: int) -> np.ndarray:
         scene.set_mode("beauty", samples)
-        return scene.shoot_beauty(seed)
+        return scene.shoot_beauty(seed, camera).image
 
     truth = shoot(reference, 99)
     scene.set_mode("labels", 4)

@@ -21,9 +21,9 @@ LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 """(3,) luminance of linear Rec.709: `linear @ LUMINANCE`."""
 SHOULDER = 1.25
 """How fast bright light approaches white."""
-DEPTH = 1.6
+DEPTH = 1.75
 """How dark blacks are: log over log, the slope of the dark part is `SHOULDER * DEPTH`."""
-PIVOT = 0.2835
+PIVOT = 0.2516
 """Linear light in the middle of the curve, where u^n / (u^n + c^n) is half of white."""
 TOE = 0.002
 """Linear light below which the curve is straight, so that its inverse has a slope at 0."""

@@ -60,8 +60,12 @@ class EnvironmentSettings(Settings):
     """Number of procedural skies."""
     studios: int = Field(default=0, ge=0, le=10_000)
     """Number of procedural studio set-ups."""
+    key_light: float = Field(default=0.75, ge=0.0, le=1.0)
+    """Share of the uses of a panorama in which it is turned as a photographer would turn the
+    sitter: its key falls on the face from a side, and the background does not glare. 0 if
+    `rotation` is given and this is not."""
     rotation: Annotated[Interval, interval(-360.0, 360.0, "degrees")] = (0.0, 360.0)
-    """Rotation about the vertical axis, degrees, drawn per subject and environment."""
+    """Rotation about the vertical axis, degrees, drawn for the other uses."""
     exposure: Annotated[Interval, interval(-4.0, 4.0, "stops")] = (-0.5, 0.5)
     """Stops around the exposure metered on the face."""
     missing: Missing = "refuse"
@@ -76,6 +80,13 @@ class EnvironmentSettings(Settings):
         if isinstance(value, tuple) and len(set(value)) != len(value):
             raise ValueError("names a panorama twice")
         return value
+
+    @model_validator(mode="after")
+    def _as_given(self) -> EnvironmentSettings:
+        """A job that says how panoramas are turned, as all did before `key_light`, means it."""
+        if "rotation" in self.model_fields_set and "key_light" not in self.model_fields_set:
+            object.__setattr__(self, "key_light", 0.0)  # it is frozen once it is made
+        return self
 
     @model_validator(mode="after")
     def _some(self) -> EnvironmentSettings:

@@ -38,7 +38,10 @@ class Pass:
     drawn: Style
     """How it is drawn, see `synthgen.pictures.drawing`; colours are sRGB."""
     background: float | None = None
-    """Its value wherever nothing is hit (`parts` is 0), checked by the gate; None: not checked."""
+    """Its value wherever nothing is hit (`parts`, or `alpha` if it is `averaged`, is 0), checked by
+    the gate; None: not checked."""
+    averaged: bool = False
+    """Whether it is a mean over the pixel, premultiplied by `alpha`, and not of one point of it."""
     positive: bool = False
     """Whether it is above the background's value wherever something is hit."""
     unit: str = ""
@@ -70,17 +73,20 @@ PASSES = (
         name="albedo",
         dtype=np.uint8,
         components="RGB",
-        description="True base colour, sRGB",
+        description="True base colour, mean times alpha, sRGB",
         drawn="colour",
+        background=0.0,
+        averaged=True,
         layer="albedo",
     ),
     Pass(
         name="normal",
         dtype=np.float16,
         components="XYZ",
-        description="camera space",
+        description="mean times alpha, camera space",
         drawn="direction",
         background=0.0,
+        averaged=True,
         layer="normal_world",
     ),
     Pass(

@@ -142,6 +142,29 @@ class ImageSettings(Settings):
         return r / 255.0, g / 255.0, b / 255.0
 
 
+class LensSettings(Settings):
+    """What lens and sensor add to pictures; all off, so that linear light and pictures agree.
+
+    Labels stay sharp, and `hdr_*.exr` is what it was before all but `f_number`.
+    """
+
+    f_number: float | None = Field(default=None, ge=0.5, le=64.0)
+    """Depth of field, the focus on the pupils; unset: the subject is in focus everywhere."""
+    bloom: float = Field(default=0.0, ge=0.0, le=0.5)
+    """Share of the light that is scattered around bright places."""
+    blur: float = Field(default=0.0, ge=0.0, le=5.0)
+    """Standard deviation of the lens's softness, pixels."""
+    grain: float = Field(default=0.0, ge=0.0, le=0.2)
+    """Noise of a pixel of linear light 1."""
+    sharpen: float = Field(default=0.0, ge=0.0, le=2.0)
+    """Strength of the unsharp mask that cameras apply."""
+
+    @property
+    def changes_pictures(self) -> bool:
+        """Whether a picture is more than D of each pixel's linear light."""
+        return bool(self.bloom or self.blur or self.grain or self.sharpen)
+
+
 class SplitSettings(Settings):
     """Shares of the subjects that are held out; the rest is for training."""
 
@@ -177,7 +200,17 @@ class JobSpec(Settings):
     poses: PoseSettings = PoseSettings()
     camera: CameraSettings = CameraSettings()
     image: ImageSettings = ImageSettings()
+    lens: LensSettings = LensSettings()
     splits: SplitSettings = SplitSettings()
+
+    @model_validator(mode="after")
+    def _whole_pictures(self) -> JobSpec:
+        if self.lens.changes_pictures and self.image.background != "environment":
+            raise ValueError(
+                'lens: bloom, blur, grain and sharpen need image.background = "environment"; '
+                "leave them out"
+            )
+        return self
 
     @field_validator("subsets")
     @classmethod

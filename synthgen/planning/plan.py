@@ -17,6 +17,7 @@ from typing import Literal
 import numpy as np
 
 from assets_procedural.conventions.camera import CameraSample, resolve
+from assets_procedural.light.key_light import sample_key
 from assets_procedural.light.pool import pool
 from assets_procedural.motion.poses import Pose, sample_pose
 from assets_procedural.motion.tracks import sample_track
@@ -74,6 +75,9 @@ class SubjectPlan(Parameters):
     split: Split
     person: Person
     environments: tuple[EnvironmentUse, ...]
+    keys: tuple[float | None, ...] = ()
+    """Per environment the azimuth that its key is to fall from, radians, 0 in front of the trunk,
+    positive towards the subject's left; None: it stays at its `rotation`. See `turning.turned`."""
     poses: tuple[Pose, ...]
     cameras: tuple[CameraSample, ...]
     shots: tuple[ShotPlan, ...]
@@ -182,6 +186,7 @@ class Plan:
             poses: tuple[Pose, ...] = (sample_pose(rng, self.job.poses, lens),)
         else:
             poses = sample_track(rng, spec.shots, self.job.poses, lens)
+        environments, keys = self._environments(subset, index, spec)
         return SubjectPlan(
             subset=subset,
             kind=spec.kind,
@@ -190,7 +195,8 @@ class Plan:
             seed=self.seed(subset, index),
             split=self.split(subset, index),
             person=self.person(subset, index),
-            environments=self._environments(subset, index, spec),
+            environments=environments,
+            keys=keys,
             poses=poses,
             cameras=cameras,
             shots=tuple(
@@ -227,11 +233,11 @@ class Plan:
 
     def _environments(
         self, subset: str, index: int, spec: SubsetSpec
-    ) -> tuple[EnvironmentUse, ...]:
+    ) -> tuple[tuple[EnvironmentUse, ...], tuple[float | None, ...]]:
         settings = self.job.environments
         rng = self._rng(subset, index, Stream.ENVIRONMENT)
         chosen = rng.permutation(len(self.environment_ids))[: spec.environments]
-        uses = []
+        uses, keys = [], []
         for i, which in enumerate(chosen):
             rng = self._rng(subset, index, Stream.ENVIRONMENT, i)
             uses.append(
@@ -242,7 +248,8 @@ class Plan:
                     seed=int(rng.integers(2**31)),
                 )
             )
-        return tuple(uses)
+            keys.append(sample_key(rng) if rng.random() < settings.key_light else None)
+        return tuple(uses), tuple(keys)
 
     def _sequence(self, subset: str, index: int, *stream: int) -> np.random.SeedSequence:
         key = (zlib.crc32(subset.encode()), index, *(int(s) for s in stream))

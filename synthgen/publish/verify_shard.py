@@ -18,6 +18,7 @@ from synthgen.dataset.records import FORMAT, LARGEST_RECORD, ShardRecord, read_d
 from synthgen.dataset.shards import decode
 from synthgen.dataset.shot import Shot, shown_expression
 from synthgen.planning.plan import ShardPlan, SubjectPlan, subject_key
+from synthgen.planning.turning import turned
 from synthgen.publish import publish
 
 LINES_PER_SHARD = 20
@@ -107,9 +108,12 @@ def _samples(
     counts: dict[str, int],
 ) -> Iterator[str]:
     """Check sample after sample; takes the rows that it meets out of `rows`."""
-    subject_of = functools.lru_cache(1)(
-        functools.partial(publish.stored_plan(folder).subject, shard.subset)
-    )
+    plan = publish.stored_plan(folder)
+
+    @functools.lru_cache(1)
+    def subject_of(index: int) -> SubjectPlan:
+        return turned(plan.subject(shard.subset, index), folder.environments)
+
     fields: list[str] | None = None
     gate = functools.partial(inspect, format=read_description(folder).format or FORMAT)
     # tarfile, and not our own reader: what others rely on is what is checked.

@@ -27,7 +27,7 @@ def hair(roughness: float, part: int) -> bpy.types.Material:
         "IOR": 1.55, "Random Roughness": 0.1,
     }, parametrization="COLOR", model="CHIANG")  # fmt: skip
     graph.output(surface.outputs[0])
-    write_labels(graph, colour, float(part))
+    write_labels(graph, surface.outputs[0], colour, float(part))
     return material
 
 
@@ -42,7 +42,8 @@ def surface(kind: str, parameters: dict[str, Any], part: Socket) -> bpy.types.Ma
     build = _SURFACES[kind]
     shader, albedo = build(graph, parameters)
     graph.output(shader)
-    write_labels(graph, albedo, part)
+    if build is not eye_materials.clear:  # labels are of what is behind
+        write_labels(graph, shader, albedo, part)
     return material
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.ndimage import gaussian_filter
 
 from assets_procedural.conventions.camera import SENSOR_MM, Camera
 from assets_procedural.conventions.colour import (
@@ -14,12 +15,15 @@ from assets_procedural.conventions.colour import (
 )
 from assets_procedural.conventions.parts import Part
 from assets_procedural.light.backdrop import backdrop, blur_radius
+from synthgen.planning.job import LensSettings
+from synthgen.stage.lens import finish
 
 # What a face of medium albedo is exposed to, linear, and how far the meter follows dark skin: 1
 # would make all skins equally bright, 0 would meter the incident light alone.
-_FACE_LEVEL = 0.30
+_FACE_LEVEL = 0.26
 _MEDIUM_ALBEDO = 0.40
 _FOLLOW = 0.38
+_BRIGHT = 1.2  # linear, of a background: brighter ones are metered, too
 _F_NUMBER = 2.8
 
 
@@ -40,14 +44,33 @@ def face_exposure(linear: np.ndarray, albedo: np.ndarray, parts: np.ndarray) -> 
     return target / max(level, 1e-6)
 
 
-def exposures(
-    linear: list[np.ndarray], albedo: np.ndarray, parts: np.ndarray, stops: list[float]
-) -> list[float]:
-    """One factor per environment: metered on the face, then moved by the job's `stops`."""
-    return [
-        face_exposure(image, albedo, parts) * 2.0**stop
-        for image, stop in zip(linear, stops, strict=True)
-    ]
+def spared(background: np.ndarray, alpha: np.ndarray) -> float:
+    """The factor in [0.5, 1] by which a camera exposes less before a bright background.
+
+    `background` (H, W, 3) is exposed for the face, `alpha` (H, W). Half of the stops that its
+    median is above `_BRIGHT` are taken back, at most one.
+    """
+    seen = alpha < 0.5
+    level = float(np.median(background[seen] @ LUMINANCE)) if seen.mean() > 0.02 else 0.0
+    return float(np.clip(_BRIGHT / max(level, _BRIGHT), 0.25, 1.0) ** 0.5)
+
+
+def matte(coverage: np.ndarray) -> np.ndarray:
+    """Denoised coverage (H, W) with edges as soft as a lens leaves them, in [0, 1]."""
+    soft = gaussian_filter(coverage, 0.5, mode="nearest")
+    return np.clip(np.where(soft < 1 - 1e-3, soft, coverage), 0, 1)
+
+
+def mean_surface(values: np.ndarray, coverage: np.ndarray) -> np.ndarray:
+    """Means (H, W, C) of what is covered, from premultiplied `values` and `coverage` (H, W, 1).
+
+    Few samples hit a pixel that is little covered: there its neighbours count, too. 0 where there
+    are none.
+    """
+    reach = (0.6, 0.6, 0)
+    several = gaussian_filter(values, reach, mode="nearest")
+    share = gaussian_filter(coverage, reach, mode="nearest")
+    return np.where(share < 1 - 1e-3, several / np.maximum(share, 1e-6), values)
 
 
 def behind(panorama: np.ndarray, camera: Camera, rotation: float, distance: float) -> np.ndarray:
@@ -63,12 +86,15 @@ def develop(
     alpha: np.ndarray,
     exposure: float,
     background: np.ndarray | tuple[float, float, float] | None,
+    lens: LensSettings,
+    rng: np.random.Generator,
 ) -> np.ndarray:
     """The display-referred picture: (H, W, 3) uint8, or (H, W, 4) without a `background`.
 
     `linear` (H, W, 3) premultiplied; `alpha` (H, W) in [0, 1]; `background` is linear radiance
     (H, W, 3) under the same exposure, or one display-referred colour in [0, 1], over which the
-    picture is laid. A transparent
+    picture is laid. `lens` and `rng`, for its grain, finish a picture of an environment. A
+    transparent
     picture has straight alpha: its colour is the foreground's own.
     """
     light = exposure * linear
@@ -81,4 +107,5 @@ def develop(
         subject = coverage * srgb_decode(display(straight))
         page = (1 - coverage) * srgb_decode(np.array(background))
         return to_bytes(srgb_encode(subject + page))
-    return to_bytes(display(light + (1 - coverage) * exposure * background))
+    whole = light + (1 - coverage) * exposure * background
+    return to_bytes(finish(whole, lens, rng))

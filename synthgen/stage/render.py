@@ -13,19 +13,20 @@ import numpy as np
 
 from assets_procedural.assembly import pieces
 from assets_procedural.body.head import Bust, HeadModel
-from assets_procedural.body.landmarks import landmarks
+from assets_procedural.body.landmarks import PUPILS, landmarks
 from assets_procedural.conventions import panorama_reading
 from assets_procedural.conventions.camera import Camera, resolve
 from assets_procedural.conventions.colour import srgb_encode, to_bytes
 from synthgen.dataset.passes import PASSES
 from synthgen.dataset.shot import RenderedSubject, Shot, describe
-from synthgen.planning.job import JobSpec
+from synthgen.planning.job import JobSpec, LensSettings
 from synthgen.planning.plan import ShotPlan, SubjectPlan
+from synthgen.planning.turning import turned
 from synthgen.stage import photograph, scene
 from synthgen.stage.build import build_figure, pose_figure, strands_for_pixel
 from synthgen.stage.geometry import canonical_mesh, control_geometry, frame_of_head, visible
 
-_Beauty = dict[str, list[np.ndarray]]
+_Beauty = dict[str, list[scene.Beauty]]
 
 
 def render_subject(
@@ -40,6 +41,7 @@ def render_subject(
         RuntimeError: the device is not there.
     """
     clock = _Clock()
+    subject = turned(subject, environments)
     with clock("build"):
         identity = _head_model().identity(subject.person)
         scene.open_stage(job.resolution, job.samples, device, threads)
@@ -65,7 +67,9 @@ def render_subject(
                 for s in taken
             }
         with clock("beauty"):
-            linear = _beauty(subject, job, environments, taken, cameras)
+            pupils = landmarks(bust)[list(PUPILS.values())]
+            focus = {key: float(c.project(pupils)[1].mean()) for key, c in cameras.items()}
+            linear = _beauty(subject, job, environments, taken, cameras, focus)
         scene.set_mode("labels", job.samples)
         for shot in taken:
             camera = cameras[shot.key]
@@ -93,6 +97,7 @@ def _beauty(
     environments: Path,
     taken: list[ShotPlan],
     cameras: dict[str, Camera],
+    focus: dict[str, float],
 ) -> _Beauty:
     scene.set_mode("beauty", job.samples)
     images: _Beauty = {shot.key: [] for shot in taken}
@@ -100,7 +105,9 @@ def _beauty(
         scene.set_light(environments / f"{use.id}.exr", use.rotation)
         for shot in taken:
             scene.set_camera(cameras[shot.key])
-            images[shot.key].append(scene.shoot_beauty((use.seed + shot.seed) % 2**31))
+            scene.set_focus(job.lens.f_number, focus[shot.key])
+            seed = (use.seed + shot.seed) % 2**31
+            images[shot.key].append(scene.shoot_beauty(seed, cameras[shot.key]))
     return images
 
 
@@ -111,28 +118,38 @@ def compose_shot(
     environments: Path,
     camera: Camera,
     bust: Bust,
-    linear: list[np.ndarray],
+    seen: list[scene.Beauty],
     labels: scene.Labels,
 ) -> Shot:
     """Develop the pictures of one shot and gather its labels, geometry and metadata.
 
-    `linear` holds an (H, W, 4) beauty render per environment of the subject.
+    `seen` holds a beauty render per environment of the subject.
     """
-    # One matte for all lights: coverage does not depend on them, and more samples smooth it.
-    alpha = np.clip(np.mean([image[..., 3] for image in linear], axis=0), 0, 1)
+    # What light does not change is one for all lights, and more samples smooth it.
+    linear = [each.image for each in seen]
+    alpha = photograph.matte(np.mean([image[..., 3] for image in linear], axis=0))
     alpha = to_bytes(alpha).astype(np.float32) / 255
-    stops = [use.exposure for use in subject.environments]
-    factors = photograph.exposures(linear, labels["albedo"], labels["parts"], stops)
-
+    for image in linear:
+        image[..., 3] = alpha
+    surface = np.mean([np.concatenate(each[1:], axis=-1) for each in seen], axis=0)
+    surface = photograph.mean_surface(surface[..., :-1], surface[..., -1:]) * alpha[..., None]
+    labels = labels | {"albedo": surface[..., :3], "normal": surface[..., 3:]}
     colour = job.image.background_colour
     distance = float(np.linalg.norm(frame_of_head(bust)[0] - camera.position))
-    pictures = []
-    for image, use, factor in zip(linear, subject.environments, factors, strict=True):
+    pictures, factors = [], []
+    for image, use in zip(linear, subject.environments, strict=True):
+        factor = photograph.face_exposure(image, labels["albedo"], labels["parts"])
         background: np.ndarray | tuple[float, float, float] | None = colour
         if job.image.background == "environment":
             around = _panorama(environments / f"{use.id}.exr")
             background = photograph.behind(around, camera, use.rotation, distance)
-        pictures.append(photograph.develop(image[..., :3], alpha, factor, background))
+            factor *= photograph.spared(factor * background, alpha)
+        factor *= 2.0**use.exposure
+        rng = np.random.default_rng([use.seed, plan.seed])
+        factors.append(factor)
+        pictures.append(
+            photograph.develop(image[..., :3], alpha, factor, background, job.lens, rng)
+        )
 
     points = landmarks(bust)
     pixels, depth = camera.project(points)
@@ -146,6 +163,8 @@ def compose_shot(
         visible(pixels, depth, labels["depth"]),
     )
     meta["exposures"] = factors
+    if job.lens != LensSettings():
+        meta["lens"] = job.lens.model_dump(mode="json", exclude_none=True)
     geometry = control_geometry(bust)
     meta["joints"] = list(bust.bones)
     geometry["landmarks"] = points.astype(np.float32)

@@ -1,15 +1,17 @@
 """Cycles as two cameras over one scene: a beauty render per light, a label render per view.
 
 The label render sees the same geometry through pixel centres (a pixel filter 0.01 wide, one
-sample, no bounces, no denoising) with thin clear surfaces hidden, so ids are exact and normals are
-unit. Both are written to a scratch EXR and come back as arrays, row 0 at the top.
+sample, no bounces, no denoising) with thin clear surfaces hidden, so ids are exact. What is to be a
+mean over the pixel, albedo and normals, comes with the beauty render, whose samples are there
+anyway; thin clear surfaces write neither. Both are written to a scratch EXR and come back as
+arrays, row 0 at the top.
 """
 
 from __future__ import annotations
 
 import tempfile
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import bpy
 import numpy as np
@@ -30,6 +32,19 @@ Labels = dict[str, np.ndarray]
 `albedo` (H, W, 3) linear, `normal` (H, W, 3) unit, camera space (OpenGL axes), `canonical`
 (H, W, 3) and `depth` (H, W) in metres (planar), `uv` (H, W, 2), `parts` (H, W) uint8.
 """
+
+
+class Beauty(NamedTuple):
+    """A view in one light, and the means of its surfaces over the same samples of each pixel."""
+
+    image: np.ndarray
+    """(H, W, 4) linear Rec.709, premultiplied, denoised, finite in half."""
+    albedo: np.ndarray
+    """(H, W, 3) linear, in [0, 1], premultiplied by `coverage`."""
+    normal: np.ndarray
+    """(H, W, 3) camera space (OpenGL axes), premultiplied by `coverage`."""
+    coverage: np.ndarray
+    """(H, W, 1) as it was sampled."""
 
 
 def open_stage(resolution: int, samples: int, device: str = "cpu", threads: int = 0) -> None:
@@ -76,23 +91,30 @@ def open_stage(resolution: int, samples: int, device: str = "cpu", threads: int 
             aov.name = each.layer
             aov.type = "VALUE" if len(each.components) == 1 else "COLOR"
 
-    _denoise_matte(scene)
+    _denoise_gaps(scene)
     image = render.image_settings
     image.file_format = "OPEN_EXR_MULTILAYER"
     image.color_depth = "32"
     image.exr_codec = "NONE"
 
 
-def _denoise_matte(scene: bpy.types.Scene) -> None:
-    """Composite the denoised alpha: Cycles denoises colour alone, and strands leave it grainy."""
+def _denoise_gaps(scene: bpy.types.Scene) -> None:
+    """Composite 1 - alpha, denoised: Cycles denoises colour alone, and strands leave it grainy.
+
+    The denoiser errs towards nothing in the dark. So it is given what shines through and not what
+    covers: coverage then lacks no speck inside hair, and its edge is not hard and too wide.
+    """
     scene.use_nodes = True
     nodes, links = scene.node_tree.nodes, scene.node_tree.links
     nodes.clear()
     layer = nodes.new("CompositorNodeRLayers")
+    gaps = nodes.new("CompositorNodeMath")
+    gaps.operation = "SUBTRACT"
+    gaps.inputs[0].default_value = 1.0
     denoise = nodes.new("CompositorNodeDenoise")
-    denoise.use_hdr = False
     result = nodes.new("CompositorNodeComposite")
-    links.new(layer.outputs["Alpha"], denoise.inputs["Image"])
+    links.new(layer.outputs["Alpha"], gaps.inputs[1])
+    links.new(gaps.outputs[0], denoise.inputs["Image"])
     links.new(denoise.outputs["Image"], result.inputs["Image"])
 
 
@@ -140,6 +162,14 @@ def set_camera(camera: Camera) -> None:
     viewer.data.clip_start, viewer.data.clip_end = 0.01, 1000.0
 
 
+def set_focus(f_number: float | None, distance: float) -> None:
+    """Focus beauty renders at a planar `distance` in metres; None: all is in focus."""
+    field = bpy.context.scene.camera.data.dof
+    field.use_dof = f_number is not None
+    if f_number is not None:
+        field.aperture_fstop, field.focus_distance = f_number, distance
+
+
 def hold_scene() -> None:
     """Let Cycles hold its scene between renders: a change of camera or light then costs little."""
     bpy.context.scene.render.use_persistent_data = True
@@ -163,19 +193,23 @@ def set_mode(mode: Mode, samples: int) -> None:
     scene.render.use_compositing = not labels
     scene.cycles.filter_width = 0.01 if labels else 1.5
     scene.cycles.max_bounces = 0 if labels else 6
+    if labels:
+        scene.camera.data.dof.use_dof = False
     # Hidden from the camera, not taken out: Cycles would build the strands' BVH anew.
     for clear in bpy.data.objects:
         if clear.get("hidden_from_labels"):
             clear.visible_camera = not labels
 
 
-def shoot_beauty(seed: int) -> np.ndarray:
-    """Render the current view: (H, W, 4) linear Rec.709, premultiplied, finite in half."""
+def shoot_beauty(seed: int, camera: Camera) -> Beauty:
+    """Render the current view, which must be `camera`'s."""
     bpy.context.scene.cycles.seed = seed
     layers = render_layers()
     image = np.clip(np.nan_to_num(layers["Combined"]), 0, 65000)
-    image[..., 3] = np.clip(layers["Composite"][..., 0], 0, 1)
-    return image
+    coverage = np.clip(image[..., 3:], 0, 1)
+    image[..., 3] = 1 - np.clip(layers["Composite"][..., 0], 0, 1)
+    normal = layers["normal_world"][..., :3] @ camera.camera_to_world[:3, :3]
+    return Beauty(image, np.clip(layers["albedo"][..., :3], 0, 1), normal, coverage)
 
 
 def shoot_labels(camera: Camera) -> Labels:

@@ -15,12 +15,17 @@ def new_material(name: str) -> tuple[bpy.types.Material, Graph]:
     return material, Graph(material)
 
 
-def write_labels(graph: Graph, albedo: Socket, part: Socket) -> None:
-    """Write the label AOVs of a surface: `albedo` a colour, `part` a FaceSynthetics id."""
+def write_labels(graph: Graph, shader: Socket, albedo: Socket, part: Socket) -> None:
+    """Write the label AOVs of a surface: `albedo` a colour, `part` a FaceSynthetics id.
+
+    The normal is what `shader` is lit by, with its relief.
+    """
     geometry = graph.node("NewGeometry")
+    lit = shader.node.inputs.get("Normal")
+    relief = lit.links[0].from_socket if lit is not None and lit.is_linked else None
     for name, value in (
         ("albedo", albedo),
-        ("normal_world", geometry.outputs["Normal"]),
+        ("normal_world", relief or geometry.outputs["Normal"]),
         ("canonical", graph.attribute("canonical").outputs["Vector"]),
         ("texture", graph.attribute("UVMap").outputs["Vector"]),
     ):

@@ -85,7 +85,7 @@ def skin(parameters: Skin) -> bpy.types.Material:
     }, subsurface_method="RANDOM_WALK")  # fmt: skip
     surface.inputs["Subsurface Radius"].default_value = _SSS_RADIUS
     graph.output(surface.outputs[0])
-    write_labels(graph, colour, graph.scalar("part"))
+    write_labels(graph, surface.outputs[0], colour, graph.scalar("part"))
     return material
 
 

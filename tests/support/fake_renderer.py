@@ -25,6 +25,7 @@ from synthgen.dataset.passes import PASSES, Pass
 from synthgen.dataset.shot import RenderedSubject, Shot, describe
 from synthgen.planning.job import JobSpec
 from synthgen.planning.plan import ShotPlan, SubjectPlan
+from synthgen.planning.turning import turned
 
 RENDERER = "fake_renderer:render_subject"
 CENTRE, RADIUS = np.array([0.0, 0.0, 0.65]), 0.11
@@ -50,6 +51,7 @@ def small_job(**changes: Any) -> JobSpec:
 def render_subject(
     subject: SubjectPlan, job: JobSpec, environments: Path, device: str, threads: int
 ) -> RenderedSubject:
+    subject = turned(subject, environments)
     spoil = _trouble(subject, environments.parent)
     time.sleep(float(os.environ.get("FAKE_SECONDS", "0")))
     shots = [_shot(subject, shot, job) for shot in subject.shots]

@@ -62,7 +62,7 @@ def ball_under_a_spot(folder: Path, direction: np.ndarray, rotation: float) -> n
     scene.set_camera(camera)
     scene.set_mode("beauty", 16)
     scene.set_light(folder / "spot.exr", rotation)
-    light = scene.shoot_beauty(0)[..., :3].sum(axis=-1)
+    light = scene.shoot_beauty(0, camera).image[..., :3].sum(axis=-1)
     pixels = camera.pixel_centres()
     offset = camera.unproject(pixels, np.full(pixels.shape[:2], -camera.position[1]))
     side = np.clip(0.01 - (offset**2).sum(axis=-1), 0, None)
@@ -161,13 +161,18 @@ def _shoot_ball(samples: int) -> np.ndarray:
     viewer.data.ortho_scale = 0.2
     scene.set_mode("beauty", samples)
     settings = bpy.context.scene
-    settings.cycles.use_denoising = settings.render.use_compositing = False
+    settings.cycles.use_denoising = False
     settings.cycles.filter_width = 0.01
     return scene.render_layers()["Combined"][..., :3]
 
 
 def bare_head(folder: Path) -> dict[str, np.ndarray]:
-    """Labels of a bald, bare skin in a turned, open-mouthed pose, and the mesh that was shown."""
+    """Labels of a bald, bare skin in a turned, open-mouthed pose, and the mesh that was shown.
+
+    Relief, which bends the stored normals away from the mesh's, is taken off the skin.
+    """
+    import bpy
+
     from assets_procedural.body.head import HeadModel
     from synthgen.stage import scene
     from synthgen.stage.build import build_figure, pose_figure
@@ -177,13 +182,17 @@ def bare_head(folder: Path) -> dict[str, np.ndarray]:
     identity = HeadModel.load().identity(person)
     scene.open_stage(SIZE, 4, "cpu", 1)
     figure = build_figure(person, identity, [])
+    for material in bpy.data.materials:
+        for node in material.node_tree.nodes:
+            if node.type == "BUMP":
+                node.inputs["Strength"].default_value = 0.0
     bust = identity.pose(Pose(expression={"jawOpen": 0.4}, head=(0.1, 0.05, 0.4)))
     pose_figure(figure, bust)
     camera = resolve(CameraSample(yaw=0.3, fill=0.7), *frame_of_head(bust), SIZE)
     scene.set_light(folder / "gradient.exr", 0.0)
     scene.set_camera(camera)
     scene.set_mode("beauty", 4)
-    scene.shoot_beauty(0)
+    mean = scene.shoot_beauty(0, camera)
     scene.set_mode("labels", 4)
     labels = scene.shoot_labels(camera)
     return {
@@ -193,6 +202,8 @@ def bare_head(folder: Path) -> dict[str, np.ndarray]:
         "intrinsics": camera.intrinsics,
         "depth": labels["depth"],
         "normal": labels["normal"],
+        "mean_normal": mean.normal,
+        "coverage": mean.image[..., 3],
     }
 
 

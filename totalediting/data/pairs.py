@@ -189,7 +189,7 @@ class PortraitPairs(EndlessDataset[PortraitPair]):
         origin = head_centre(stored["geometry"]["landmarks_canonical"])
         camera_to_world, intrinsics = shots.camera(meta, origin, side)
         control = shots.control(stored["geometry"], origin)
-        normal = shots.normals(stored["normal"], parts, side)
+        normal = shots.normals(stored["normal"], parts, side, self.shots.format)
         relit = None
         if self.relit:
             relit = Relit(
@@ -200,7 +200,7 @@ class PortraitPairs(EndlessDataset[PortraitPair]):
             app_image=source.image,
             app_frontal=source.frontal(control),
             mot_image=self._picture(light, stored),
-            albedo=shots.albedo(stored["albedo"], side),
+            albedo=shots.albedo(stored["albedo"], stored["alpha"], side, self.shots.format),
             normal=(camera_to_world[:3, :3] @ normal.flatten(1)).view_as(normal),
             alpha=shots.alpha(stored["alpha"], side),
             parts=shots.parts(parts, side),

@@ -119,7 +119,7 @@ class Portraits(EndlessDataset[Portrait]):
         stored = self.shots.read(item, "normal", "alpha", "parts", "meta")
         parts, side = stored["parts"], self.side
         return (
-            shots.normals(stored["normal"], parts, side),
+            shots.normals(stored["normal"], parts, side, self.shots.format),
             shots.alpha(stored["alpha"], side),
             shots.parts(parts, side),
             *self._truth(item, stored["meta"]),

@@ -162,9 +162,13 @@ def picture(stored: np.ndarray, side: int, format: int = FORMAT) -> Tensor:
     return _to_tensor(area(shown, side)).clamp_(0.0, 1.0)
 
 
-def albedo(stored: np.ndarray, side: int) -> Tensor:
-    """(H, W, 3) sRGB bytes to (3, side, side) linear, in [0, 1]."""
-    return _to_tensor(area(_LINEAR[stored], side)).clamp_(0.0, 1.0)
+def albedo(stored: np.ndarray, matte: np.ndarray, side: int, format: int = FORMAT) -> Tensor:
+    """(H, W, 3) sRGB bytes to (3, side, side) linear, in [0, 1]: the mean of what is covered.
+
+    `matte` (H, W) bytes is `alpha`, which albedo is premultiplied by, but not in format 1.
+    """
+    mean = _to_tensor(area(_LINEAR[stored], side))
+    return (mean if format == 1 else mean / alpha(matte, side).clamp_min(1e-3)).clamp_(0.0, 1.0)
 
 
 def alpha(stored: np.ndarray, side: int) -> Tensor:
@@ -190,9 +194,15 @@ def over_surface(stored: np.ndarray, labels: np.ndarray, side: int) -> Tensor:
     return _to_tensor(total[..., :-1] / share)
 
 
-def normals(stored: np.ndarray, labels: np.ndarray, side: int) -> Tensor:
-    """(H, W, 3) to (3, side, side) unit normals in the frame they are stored in, the camera's."""
-    mean = over_surface(stored, labels, side)
+def normals(stored: np.ndarray, labels: np.ndarray, side: int, format: int = FORMAT) -> Tensor:
+    """(H, W, 3) to (3, side, side) unit normals in the frame they are stored in, the camera's.
+
+    0 where nothing is; in format 1 that is where `labels` (H, W) are 0.
+    """
+    if format == 1:
+        mean = over_surface(stored, labels, side)
+    else:
+        mean = _to_tensor(area(stored.astype(np.float32), side))
     return mean / mean.square().sum(0).sqrt().clamp_min(1e-6)
 
 

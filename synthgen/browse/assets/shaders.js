@@ -97,8 +97,8 @@ vec3 response(vec3 x) {
   x = max(x, 0.0);
   x /= max(largest(x) / 16.0, 1.0);
   float brightest = max(largest(x), 1e-6);
-  float ratio = pow((brightest + 0.002) / 0.2835, 1.25);
-  float tone = (pow(ratio / (1.0 + ratio), 1.6) - 4.9606047125324184e-05) / 0.9896948862654779;
+  float ratio = pow((brightest + 0.002) / 0.2516, 1.25);
+  float tone = (pow(ratio / (1.0 + ratio), 1.75) - 2.541831733026058e-05) / 0.9903053014844543;
   float colour = 1.0 - 0.6 * pow(tone, 6.0);
   return tone * (1.0 - colour) + colour * (tone / brightest) * x;
 }

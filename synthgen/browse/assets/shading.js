@@ -37,7 +37,8 @@ export class Shading {
   /**
    * Sets the shot to shade. Arrays are {data, shape, type} of the same height and width.
    *
-   * @param albedo (H, W, 3) float32, linear  @param normal (H, W, 3) float32, camera space
+   * @param albedo (H, W, 3) float32, linear  @param normal (H, W, 3) float32, camera space,
+   *   both as the dataset holds them
    * @param alpha (H, W) uint8, or float32 in [0, 1]
    * @param camera meta.json's: `intrinsics` 3×3 in pixels, `camera_to_world` 4×4
    * @param format of the dataset
@@ -46,7 +47,7 @@ export class Shading {
     const { gl, canvas } = this;
     const [height, width] = albedo.shape;
     Object.assign(canvas, { width, height });
-    const { base, directions } = surface(albedo, normal, alpha);
+    const { base, directions } = surface(albedo, normal, alpha, format);
     const contents = { albedo: base, normal: directions, linear: null, far: null };
     for (const [name, data] of Object.entries(contents)) {
       gl.bindTexture(gl.TEXTURE_2D, this.textures[name]);

@@ -5,10 +5,11 @@ const FILLED = 4; // pixels by which labels may fall short of alpha
 /**
  * Albedo with alpha, and normals, of each pixel, (4 H W) each.
  *
- * Labels have one sample, through the pixel's centre: at a silhouette or between strands it may miss
- * what alpha says is there. Such a pixel takes the mean of its neighbours.
+ * Both are means over the pixel, premultiplied by alpha. In datasets of format 1 they had one sample,
+ * through the pixel's centre: at a silhouette or between strands it may miss what alpha says is
+ * there. A pixel without a normal takes the mean of its neighbours.
  */
-export function surface(albedo, normal, alpha) {
+export function surface(albedo, normal, alpha, format) {
   const [height, width] = albedo.shape;
   const count = height * width;
   const base = new Float32Array(4 * count);
@@ -16,8 +17,9 @@ export function surface(albedo, normal, alpha) {
   const scale = alpha.type === "uint8" ? 1 / 255 : 1;
   let missed = [];
   for (let i = 0; i < count; i++) {
+    const covered = format === 1 ? 1 : Math.max(alpha.data[i] * scale, 1e-3);
     for (let c = 0; c < 3; c++) {
-      base[4 * i + c] = albedo.data[3 * i + c];
+      base[4 * i + c] = Math.min(albedo.data[3 * i + c] / covered, 1);
       directions[4 * i + c] = normal.data[3 * i + c];
     }
     base[4 * i + 3] = alpha.data[i] * scale;

@@ -11,6 +11,7 @@ import trimesh
 
 from assets_procedural.conventions import panorama
 from assets_procedural.conventions.camera import Camera
+from assets_procedural.conventions.colour import srgb_decode
 from synthgen.dataset.gate import inspect
 from synthgen.dataset.shot import camera_of
 
@@ -75,6 +76,14 @@ def test_depth_and_normals_lie_on_the_evaluated_mesh(blender, lights):
     assert np.median(angle) < 0.3
     assert np.quantile(angle, 0.95) < 1
 
+    # The mean over a pixel is that of the normals around it, shorter where they bend.
+    whole = hit & (shown["coverage"] > 0.999)
+    length = np.linalg.norm(shown["mean_normal"], axis=-1)
+    assert np.median(length[whole]) > 0.97 and length.max() < 1.001
+    cosine = (shown["mean_normal"] * shown["normal"]).sum(-1)[whole] / length[whole]
+    angle = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
+    assert np.median(angle) < 4 and np.quantile(angle, 0.95) < 15
+
     ray = points - camera.position
     origins = np.broadcast_to(camera.position, ray.shape)
     first = mesh.ray.intersects_location(origins, ray, multiple_hits=False)
@@ -100,6 +109,21 @@ def test_visible_landmarks_land_on_their_canonical_coordinates(shots):
     assert len(off) > 100
     assert np.mean(np.array(off) < 1.0) > 0.9
     assert np.median(off) < 0.6
+
+
+def test_albedo_and_normals_are_means_over_the_pixel_premultiplied(shots):
+    """Neighbours in hair differ little, no pixel is brighter than it is covered."""
+    for shot in shots:
+        length = np.linalg.norm(shot.normal.astype(np.float32), axis=-1)
+        hair = (shot.parts == 13) & (shot.alpha == 255)
+        assert hair.sum() > 50
+        assert (length[hair] < 0.97).mean() > 0.5  # strands of several directions
+        edge = (shot.alpha > 30) & (shot.alpha < 225)
+        assert edge.sum() > 50
+        assert (length <= shot.alpha / 255 + 0.02).all()
+        assert not shot.albedo[shot.alpha == 0].any() and not shot.normal[shot.alpha == 0].any()
+        brightest = srgb_decode(shot.albedo / 255.0).max(-1)
+        assert (brightest <= shot.alpha / 255 + 0.02).all()
 
 
 def test_labels_do_not_depend_on_the_light(blender, lights, shots):

@@ -151,7 +151,7 @@ def test_gradients_of_display_are_finite_everywhere(dtype: torch.dtype) -> None:
     assert linear.grad is not None and linear.grad.isfinite().all()
     black = torch.zeros(1, 3, dtype=dtype, requires_grad=True)
     display(black).sum().backward()
-    assert black.grad is not None and black.grad.min() > 0.5  # black can become brighter
+    assert black.grad is not None and black.grad.min() > 0.2  # black can become brighter
     levels = torch.linspace(-0.5, 1.5, 41, dtype=dtype)
     shown = torch.cartesian_prod(levels, levels, levels).requires_grad_()
     undisplay(shown).sum().backward()

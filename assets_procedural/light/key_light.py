@@ -1,0 +1,85 @@
+"""Turning a panorama as a photographer turns the sitter: its key falls on the face from the side.
+
+Azimuths are radians about +Z, 0 straight in front of the trunk (-Y), positive towards the subject's
+left (+X).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from assets_procedural.conventions.colour import LUMINANCE
+from assets_procedural.conventions.panorama import (
+    rotate_z,
+    texel_directions,
+    texel_solid_angles,
+)
+
+_ROWS = 32
+_FRONT = np.array([0.0, -1.0, 0.0])
+_CONE = math.cos(math.radians(15))
+# What is behind the face, relative to a white surface in the face's light: brighter than the first
+# it glares, darker than the second it is night around a lit face.
+_GLARE, _NIGHT = 2.0, 0.06
+
+
+@dataclass(frozen=True)
+class Survey:
+    """What a panorama is turned by."""
+
+    key: float
+    """Azimuth that most light comes from."""
+    luminance: np.ndarray
+    """(32, 64) mean radiance."""
+
+
+def sample_key(rng: np.random.Generator) -> float:
+    """An azimuth for the key: mostly 20 to 60 degrees to either side, at times frontal or a rim."""
+    kind = rng.random()
+    low, high = (20, 60) if kind < 0.75 else (0, 20) if kind < 0.88 else (60, 105)
+    return math.radians(rng.uniform(low, high)) * float(rng.choice([-1.0, 1.0]))
+
+
+def survey(panorama: np.ndarray) -> Survey:
+    """Of a panorama (H, 2H, 3), H >= 32: the light's mean direction, weighted by its luminance."""
+    light = panorama @ LUMINANCE
+    height = len(light)
+    towards = (light * texel_solid_angles(height)[:, None])[..., None] * texel_directions(height)
+    x, y, _ = towards.sum((0, 1))
+    rows, columns = (np.arange(n) * height // _ROWS for n in (_ROWS, 2 * _ROWS))
+    small = np.add.reduceat(np.add.reduceat(light, rows, 0), columns, 1)
+    count = np.outer(np.diff(rows, append=height), np.diff(columns, append=2 * height))
+    return Survey(math.atan2(x, -y), small / count)
+
+
+def rotation(found: Survey, key: float, views: Sequence[tuple[float, float]]) -> float:
+    """The rotation in [0, 2 pi) that brings a panorama's key to azimuth `key`, or near it.
+
+    `views` are yaw and pitch of the cameras about the head. Where the background would glare or be
+    black behind a well exposed face, the other side and azimuths 25 degrees off are tried.
+    """
+    step = math.radians(25)
+    tried = [side * turn for turn in (key, key - step, key + step) for side in (1.0, -1.0)]
+    tried = [each for each in tried if abs(each) <= math.radians(110)]
+    strain = [_strain(found, each - found.key, views) + 0.1 * i for i, each in enumerate(tried)]
+    return (tried[int(np.argmin(strain))] - found.key) % (2 * math.pi)
+
+
+def _strain(found: Survey, angle: float, views: Sequence[tuple[float, float]]) -> float:
+    """By how many stops the background is too bright, or half of those it is too dark."""
+    direction = rotate_z(texel_directions(_ROWS), angle)
+    light = found.luminance * texel_solid_angles(_ROWS)[:, None]
+    white = (light * np.clip(direction @ _FRONT, 0, None)).sum() / math.pi
+    levels = []
+    for yaw, pitch in views:
+        away = -np.array(
+            [math.sin(yaw) * math.cos(pitch), -math.cos(yaw) * math.cos(pitch), math.sin(pitch)]
+        )
+        seen = direction @ away > _CONE
+        levels.append(light[seen].sum() / (texel_solid_angles(_ROWS)[:, None] * seen).sum())
+    level = max(float(np.mean(levels)) / max(float(white), 1e-9), 1e-6)
+    return max(math.log2(level / _GLARE), 0.5 * math.log2(_NIGHT / level), 0.0)
