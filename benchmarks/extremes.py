@@ -118,8 +118,9 @@ def measure(
                     rejected += [(index, problem) for problem in future.result()]
                 except Exception as error:
                     crashed.append((index, f"{type(error).__name__}: {error}"))
-                print(f"\r{index + 1 - indices.start}/{len(indices)}", end="", file=sys.stderr)
-    print(file=sys.stderr)
+                done = f"{index + 1 - indices.start} of {len(indices)} people"
+                found_so_far = f"{len(rejected)} rejections, {len(crashed)} crashes"
+                print(f"{done}, {found_so_far}", file=sys.stderr)
     return rejected, crashed
 
 

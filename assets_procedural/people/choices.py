@@ -15,7 +15,7 @@ ATTRIBUTES: tuple[Attribute, ...] = get_args(Attribute)
 """What has named values, in the order in which it is drawn."""
 _STEPS = tuple(math.sqrt(n) % 1.0 for n in (2, 3, 5, 7, 11, 13, 17, 19))
 
-Factors = Mapping[str, Mapping[str, float]]
+Factors = Mapping[Attribute, Mapping[str, float]]
 """Attribute → value → what the natural frequency is multiplied by; 1 where not named."""
 
 
@@ -23,16 +23,17 @@ class Choices:
     """Draws named values for one subject.
 
     `factors` multiply the natural frequencies. The attributes in `points` are not left to chance:
-    they take the given number in [0, 1) for theirs. What was picked, and from which frequencies,
-    is kept in `picked` and `frequencies`.
+    they take the given number in [0, 1) for theirs. The frequencies that each attribute was
+    picked from are kept in `frequencies`.
     """
 
     def __init__(self, factors: Factors, points: Mapping[str, float]) -> None:
         self._factors, self._points = factors, points
-        self.picked: dict[str, str] = {}
-        self.frequencies: dict[str, dict[str, float]] = {}
+        self.frequencies: dict[Attribute, dict[str, float]] = {}
 
-    def pick(self, attribute: str, rng: np.random.Generator, natural: Mapping[str, float]) -> str:
+    def pick(
+        self, attribute: Attribute, rng: np.random.Generator, natural: Mapping[str, float]
+    ) -> str:
         """One of the values of `natural`, whose frequencies need no sum. Draws one number always.
 
         Where the factors leave none of them, the natural frequencies hold.
@@ -46,8 +47,7 @@ class Choices:
         place = self._points.get(attribute, chance) * mass[-1]
         index = min(int(np.searchsorted(mass, place, side="right")), len(mass) - 1)
         self.frequencies[attribute] = frequencies
-        self.picked[attribute] = list(frequencies)[index]
-        return self.picked[attribute]
+        return list(frequencies)[index]
 
 
 def spread_points(index: int, rng: np.random.Generator) -> dict[str, float]:

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
 FILE = Path(__file__).with_name("measures.json")
 
-# Ends by iBUG landmark (70 is the top of the head), and the axis along which they are measured;
-# None is for the distance.
+# Ends by iBUG landmark (70 is the top of the head), and the axis along which they are measured,
+# None for the distance.
 _ENDS: dict[str, tuple[tuple[int, int], int | None]] = {
     "face width": ((1, 15), None),
     "jaw width": ((4, 12), None),

@@ -39,12 +39,12 @@ def factors(settings: PeopleSettings) -> Factors:
 @lru_cache(maxsize=8)
 def _fitted(stored: str) -> Factors:
     settings = PeopleSettings.model_validate_json(stored)
-    found: dict[str, dict[str, float]] = {
+    found: dict[Attribute, dict[str, float]] = {
         name: dict(table) for name, table in settings.weights.items()
     }
     asked: list[Attribute] = [name for name in ATTRIBUTES if settings.quotas.get(name)]
     for attribute in asked:
-        seen = []
+        seen: list[dict[str, float]] = []
         for index in range(PEOPLE):
             points = spread_points(index, np.random.default_rng(0))
             choices = Choices(found, {name: points[name] for name in asked})
@@ -58,7 +58,7 @@ def _fitted(stored: str) -> Factors:
 
 
 def _fit(
-    attribute: str, seen: list[dict[str, float]], quotas: dict[str, float]
+    attribute: Attribute, seen: list[dict[str, float]], quotas: dict[str, float]
 ) -> dict[str, float]:
     """Value to factor: iterative proportional fitting of the mean shares over people `seen`."""
     names = list(dict.fromkeys([*quotas, *(name for one in seen for name in one)]))

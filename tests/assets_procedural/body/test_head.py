@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from assets_procedural.body.distill import whole_body
+from assets_procedural.body.distill import OUTLINES, whole_body
 from assets_procedural.body.head import (
     _LIP_GAP,
     _LIPS,
@@ -44,9 +44,9 @@ def sampled(model) -> list[Identity]:
 
 
 def random_phenotypes(rng: np.random.Generator) -> dict[str, float]:
-    """Teenagers to old people; chests at their averages, as the distilled shapes assume."""
+    """One year olds to old people; chests at their averages, as the distilled shapes assume."""
     names = ("gender", "muscle", "weight", "height", "proportions", *RACES)
-    return {name: float(rng.random()) for name in names} | {"age": float(rng.uniform(1 / 3, 1))}
+    return {name: float(rng.random()) for name in names} | {"age": float(rng.random())}
 
 
 def test_the_weights_of_each_block_of_shapes_sum_to_one(model):
@@ -59,10 +59,13 @@ def test_the_weights_of_each_block_of_shapes_sum_to_one(model):
     assert frozenset({"race", "gender", "age"}) in blocks
     rng = np.random.default_rng(0)
     for _ in range(20):
-        weights = model._phenotype_weights(random_phenotypes(rng))
+        phenotypes = random_phenotypes(rng)
+        weights = model._phenotype_weights(phenotypes)
         assert weights.min() >= 0
         for block, rows in blocks.items():
-            assert weights[rows].sum() == pytest.approx(1, abs=1e-5), sorted(block)
+            # MakeHuman has no proportions of babies.
+            whole = min(3 * phenotypes["age"], 1) if "proportions" in block else 1
+            assert weights[rows].sum() == pytest.approx(whole, abs=1e-5), sorted(block)
 
 
 def test_rest_shape_is_linear_in_shape_values(model):
@@ -77,6 +80,16 @@ def test_rest_shape_is_linear_in_shape_values(model):
     both = offset(**{a: 0.5, b: -0.7})
     np.testing.assert_allclose(both, offset(**{a: 0.5}) + offset(**{b: -0.7}), atol=1e-6)
     assert np.abs(both).max() > 1e-3
+
+
+def test_outlines_go_one_way_and_leave_eyes_and_teeth(model):
+    plain = model.identity(Person())
+    for name in OUTLINES:
+        moved = model.identity(Person(shape={name: 1.0})).rest - plain.rest
+        assert np.linalg.norm(moved, axis=1).max() > 5e-3
+        for group in ("eye_left", "eye_right"):
+            assert np.abs(moved[model.groups[group]]).max() < 1e-6
+        np.testing.assert_array_equal(model.identity(Person(shape={name: -1.0})).rest, plain.rest)
 
 
 def test_left_and_right_asymmetries_mirror_each_other(model):
@@ -207,7 +220,8 @@ def test_anny_gives_the_same_vertices(model, monkeypatch):
     rng = np.random.default_rng(3)
     actions = [n for n in ARKIT_NAMES if not n.startswith(("eyeLook", "eyeBlink"))]
     for _ in range(3):
-        chosen = rng.choice(model.shape_names, 12, replace=False).tolist()
+        annys = [name for name in model.shape_names if name not in OUTLINES]
+        chosen = rng.choice(annys, 12, replace=False).tolist()
         person = Person(
             phenotypes=random_phenotypes(rng),
             shape={name: float(rng.uniform(-1, 1)) for name in chosen},
