@@ -23,19 +23,19 @@ class Fabric:
 
 
 FABRICS: dict[str, Fabric] = {
-    "jersey": Fabric(0.004, 0.0042, 2.2, 0.0010, "jersey"),
-    "sweat": Fabric(0.009, 0.0066, 1.8, 0.0022, "fleece"),
-    "fleece": Fabric(0.011, 0.0050, 1.5, 0.0034, "pile"),
-    "knit": Fabric(0.008, 0.0044, 1.6, 0.0028, "knit"),
-    "cable": Fabric(0.010, 0.0036, 1.5, 0.0036, "cable"),
-    "rib": Fabric(0.003, 0.0018, 1.8, 0.0016, "rib"),
-    "poplin": Fabric(0.006, 0.0052, 3.2, 0.0008, "poplin", 0.8),
-    "silk": Fabric(0.005, 0.0052, 2.0, 0.0006, "satin", 0.42),
-    "flannel": Fabric(0.008, 0.0046, 2.2, 0.0014, "fleece"),
-    "denim": Fabric(0.009, 0.0044, 2.6, 0.0018, "denim"),
-    "leather": Fabric(0.009, 0.0056, 2.4, 0.0022, "leather", 0.45),
-    "nylon": Fabric(0.010, 0.0062, 2.6, 0.0012, "poplin", 0.5),
-    "suiting": Fabric(0.009, 0.0020, 1.6, 0.0018, "twill", 0.85),
+    "jersey": Fabric(0.004, 0.0065, 2.2, 0.0010, "jersey"),
+    "sweat": Fabric(0.009, 0.0102, 1.8, 0.0022, "fleece"),
+    "fleece": Fabric(0.011, 0.0078, 1.5, 0.0034, "pile"),
+    "knit": Fabric(0.008, 0.0068, 1.6, 0.0028, "knit"),
+    "cable": Fabric(0.010, 0.0056, 1.5, 0.0036, "cable"),
+    "rib": Fabric(0.003, 0.0022, 1.8, 0.0016, "rib"),
+    "poplin": Fabric(0.006, 0.0081, 3.2, 0.0008, "poplin", 0.8),
+    "silk": Fabric(0.005, 0.0081, 2.0, 0.0006, "satin", 0.42),
+    "flannel": Fabric(0.008, 0.0071, 2.2, 0.0014, "fleece"),
+    "denim": Fabric(0.009, 0.0068, 2.6, 0.0018, "denim"),
+    "leather": Fabric(0.009, 0.0087, 2.4, 0.0022, "leather", 0.45),
+    "nylon": Fabric(0.010, 0.0096, 2.6, 0.0012, "poplin", 0.5),
+    "suiting": Fabric(0.009, 0.0031, 1.6, 0.0018, "twill", 0.85),
 }
 """Fabrics by name."""
 

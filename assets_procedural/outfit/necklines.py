@@ -74,7 +74,7 @@ NECKLINES: dict[str, Outline] = {
     "band": Outline(0.519, 0.568, vee=0.480, half=0.018, collar="stand"),
     "mock": Outline(0.550, 0.596, 2.0, band=0.014),
     "turtleneck": Outline(0.557, 0.608, 1.6, collar="roll"),
-    "hood": Outline(0.510, 0.562, collar="hood"),
+    "hood": Outline(0.521, 0.566, collar="hood"),
     "quarter_zip": Outline(0.516, 0.566, vee=0.455, half=0.028, collar="tall"),
 }
 """Necklines of tops by name."""

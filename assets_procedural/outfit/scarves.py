@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import sparse
 from scipy.ndimage import gaussian_filter1d, maximum_filter
+from scipy.spatial import KDTree
 
 from assets_procedural.body.head import Identity, vertex_normals
 from assets_procedural.body.piece import MeshPiece, skinned
@@ -208,10 +209,15 @@ def headscarf(wearing: Hat, identity: Identity) -> list[MeshPiece]:
     cloth = sheet.matrix @ points
     for _ in range(3):
         cloth = sheet.smoothing @ cloth
-    # Hug the face at the opening, then one more layer of cloth there.
+    # The edge clings to temples, cheeks and the underside of the chin.
+    outer = skin[(model.masks["inside-mouth"][skin] < 0.3) & (model.masks["ears"][skin] < 0.3)]
+    _, near = KDTree(rest[outer]).query(cloth)
+    cling = rest[outer][near] + 0.004 * identity.neutral.normals[outer][near]
+    hug = smoothstep(0.032, 0.004, sheet.field)[:, None]
+    cloth = cloth + hug * (cling - cloth)
+    for _ in range(4):
+        cloth = sheet.smoothing @ cloth
     normals = vertex_normals(cloth, sheet.faces)
-    hug = smoothstep(0.030, 0.0, sheet.field)
-    cloth = cloth + (-0.004 * hug)[:, None] * normals
     weights = bone_weights(identity, cloth)
     for _ in range(10):
         weights = sheet.smoothing @ weights
@@ -231,7 +237,7 @@ def headscarf(wearing: Hat, identity: Identity) -> list[MeshPiece]:
 
 
 def _hanging(heights: np.ndarray, reach: np.ndarray) -> np.ndarray:
-    """Raise a profile (rows, around) most of the way to straight lines over its hollows."""
+    """Raise a profile (rows, around) about half the way to straight lines over its hollows."""
     hull = reach.copy()
     for column in hull.T:
         stack: list[int] = []
@@ -244,7 +250,7 @@ def _hanging(heights: np.ndarray, reach: np.ndarray) -> np.ndarray:
                 stack.pop()
             stack.append(k)
         column[:] = np.interp(-heights, -heights[stack], column[stack])
-    return reach + 0.62 * (hull - reach)
+    return reach + 0.45 * (hull - reach)
 
 
 def _pleats(share: np.ndarray, angles: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -257,4 +263,4 @@ def _pleats(share: np.ndarray, angles: np.ndarray, rng: np.random.Generator) -> 
             1 + 0.3 * np.sin(angles + rng.uniform(0, 6))
         )
         height += (0.5 + 0.5 * np.sin(phase + rng.uniform(0, 6))) ** 2.5 * rng.uniform(0.4, 1)
-    return 0.0045 * height * (0.25 + smoothstep(0.1, 0.5, share))[:, None]
+    return 0.0062 * height * (0.2 + smoothstep(0.05, 0.35, share))[:, None]

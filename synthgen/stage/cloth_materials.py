@@ -159,13 +159,10 @@ def _knitted(wale: float, course: float, deep: float) -> Callable[..., tuple[Soc
 
 
 def _cabled(graph: Graph, u: Socket, v: Socket, rest: Socket) -> tuple[Socket, Socket]:
-    """Twisted columns 26 mm wide on stitches."""
-    sway = graph.math("SINE", graph.math("MULTIPLY", v, _TURN / 0.045))
-    strand = _sine(graph, graph.math("ADD", u, graph.math("MULTIPLY", sway, 0.0065)), 0.0130)
-    stitch = _sine(graph, v, 0.0040)
-    height = graph.math("ADD", graph.math("MULTIPLY", strand, 0.0036),
-                        graph.math("MULTIPLY", stitch, 0.0006))  # fmt: skip
-    return height, graph.stretch(strand, 0.0, 0.6, (0.6, 1.0))
+    """Columns of twisted strands, 20 mm apart."""
+    sway = graph.math("SINE", graph.math("MULTIPLY", v, _TURN / 0.052))
+    strand = _sine(graph, graph.math("ADD", u, graph.math("MULTIPLY", sway, 0.0050)), 0.0200)
+    return graph.math("MULTIPLY", strand, 0.0040), graph.stretch(strand, 0.0, 0.5, (0.62, 1.0))
 
 
 def _twilled(period: float, deep: float, dark: float) -> Callable[..., tuple[Socket, Socket]]:
