@@ -18,8 +18,8 @@ from assets_procedural.person import Person
 
 _STEPS = 30
 CLOTHES_MARGIN = 0.015
-# Beside a parting hair stands no higher than its ridge: this much, and the skull's own curvature.
-_PART_HEIGHT, _PART_CURVATURE = 0.0038, 3.5
+# Beside a parting hair stands hardly higher than its ridge, metres; from the sides on it is free.
+_PART_HEIGHT, _RIDGE_SLOPE, _RIDGE_WIDTH = 0.0036, 0.4, 0.045
 
 
 def tie_points(style: Style, root_at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -107,7 +107,8 @@ def grow(
         ceiling = np.full(len(root), 0.06)
         if style.parted:
             gap = part_gap(at, person)
-            ridge = _PART_HEIGHT + _PART_CURVATURE * gap**2
+            ridge = max(_PART_HEIGHT, 0.3 * style.volume - 0.002) + _RIDGE_SLOPE * gap**2
+            ridge = ridge + 25 * np.maximum(gap - _RIDGE_WIDTH, 0) ** 2
             height = np.minimum(height, ridge * (0.3 + 0.7 * layer))
             ceiling = np.where(at[:, 2] > 0.77, ridge * (0.4 + 0.6 * layer), ceiling)
         rise = quiff * off * smoothstep(length, 0.3 * length, travelled)
