@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from assets_procedural.hair.beards import BEARDS
+from assets_procedural.hair.beard_styles import BEARDS
 from assets_procedural.hair.styles import STYLES
 from assets_procedural.person import ADULT, Beard, Brows, Colour, Eyes, Hair, Skin
 
