@@ -21,7 +21,6 @@ from assets_procedural.hair.tones import colouring
 from assets_procedural.mesh.vectors import arctan2, smoothstep, unit
 from assets_procedural.person import Person
 
-
 # Azimuth about the skull's axis (degrees) → upper edge on the cheek in template space.
 _CHEEK_AZIMUTH = np.array([0, 14, 22, 32, 45, 58, 66, 72, 82])
 _CHEEK_HEIGHT = np.array([0.684, 0.683, 0.676, 0.667, 0.664, 0.672, 0.690, 0.712, 0.72])
