@@ -43,14 +43,15 @@ def resident(process: int | None = None) -> float:
     return _status("VmRSS", process)
 
 
-def peak(device: str = "cpu") -> float:
-    """Megabytes that this process has held at most; on "cuda" what the allocator has."""
+def peak(device: str = "cpu", process: int | None = None) -> float:
+    """Megabytes that a process, this one by default, has held at most; on "cuda" what the
+    allocator of this one has."""
     if device == "cuda":
         import torch
 
         return torch.cuda.max_memory_allocated() / 1e6
     # Not resource.getrusage: its peak survives exec and would be the parent's.
-    return _status("VmHWM", None)
+    return _status("VmHWM", process)
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:

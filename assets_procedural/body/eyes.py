@@ -7,17 +7,18 @@ that frame are in eyeball radii unless said otherwise.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 
 import numpy as np
 
 from assets_procedural.body.head import Bust, HeadModel, Identity
 from assets_procedural.body.iris import eye_texture, texture_radius
-from assets_procedural.body.piece import MeshPiece, rigid
+from assets_procedural.body.piece import MeshPiece
 from assets_procedural.conventions.parts import Part
 from assets_procedural.mesh.subdivision import Subdivision, catmull_clark
 from assets_procedural.mesh.sweep import tube_faces
-from assets_procedural.mesh.vectors import arctan2, moved
+from assets_procedural.mesh.vectors import arctan2, moved, smoothstep
 from assets_procedural.person import Person
 
 # Iris radius over eyeball radius. The model's eyeballs are a third larger than real ones (a real
@@ -29,6 +30,11 @@ _IRIS_MM = 11.8
 _SEGMENTS = 64
 _CORNEA_BULGE = 0.075
 _TEAR_SAMPLES = 48
+_SHADE_SAMPLES = 64
+# Rows of the lids' shade over the eye, from under the lid inwards: share of its width, darkness.
+_SHADE_ROWS = np.array([(-0.25, 1.0), (0.0, 1.0), (0.12, 0.72), (0.35, 0.36), (0.65, 0.1), (1, 0)])
+# Its width below the upper and above the lower lid (m).
+_SHADE_WIDTH = (3.6e-3, 1.3e-3)
 
 
 def eyes(person: Person, identity: Identity) -> list[MeshPiece]:
@@ -36,7 +42,8 @@ def eyes(person: Person, identity: Identity) -> list[MeshPiece]:
 
     The eyeball (material "eye") has `parameters["texture"]`, a (512, 512, 3) float32 linear albedo
     whose row 0 is v = 1, its disc `uv`, and the vertex input `radial`, the angle from the optic
-    axis in radians. Corneas ("cornea") and tear lines ("tear") are hidden from the labels.
+    axis in radians. Corneas ("cornea"), tear lines ("tear") and the shade that the lids cast
+    ("lid_shade", with the vertex input `shade` in [0, 1]) are hidden from the labels.
     """
     rng = np.random.default_rng(person.eyes.seed)
     pupil = float(np.clip(person.eyes.pupil_mm / _IRIS_MM, 0.15, 0.6))
@@ -53,7 +60,7 @@ def eyes(person: Person, identity: Identity) -> list[MeshPiece]:
                 part,
                 ball.faces,
                 "eye",
-                rigid(name, centre + radius * ball.points),
+                _sunk(name, centre, radius * ball.points),
                 {"texture": np.ascontiguousarray(picture), "iris_angle": _LIMBUS},
                 ball.disc_uv(),
                 {"radial": ball.theta},
@@ -66,13 +73,29 @@ def eyes(person: Person, identity: Identity) -> list[MeshPiece]:
                 part,
                 shell.faces,
                 "cornea",
-                rigid(name, centre + radius * shell.points),
+                _sunk(name, centre, radius * shell.points),
                 {"ior": 1.376},
                 hidden_from_labels=True,
             )
         )
-        pieces += _lid_pieces(name, part)
+        pieces += [*_lid_pieces(name, part), _lid_shade(name, part)]
     return pieces
+
+
+def _sink(bust: Bust, name: str) -> float:
+    """By what share of its radius an eye shrinks behind its lid, which the cornea would pierce."""
+    side = name.removeprefix("eye_").capitalize()
+    closed = np.array(bust.pose.expression.get(f"eyeBlink{side}", 0.0))
+    return 0.08 * float(smoothstep(0.35, 1.0, closed))
+
+
+def _sunk(name: str, centre: np.ndarray, offset: np.ndarray) -> Callable[[Bust], np.ndarray]:
+    """A `place` of points at `offset` (V, 3) from an eye's centre that turn with its gaze."""
+
+    def place(bust: Bust) -> np.ndarray:
+        return moved(centre + (1 - _sink(bust, name)) * offset, bust.bones[name])
+
+    return place
 
 
 def eyeball(identity: Identity, name: str) -> tuple[np.ndarray, float]:
@@ -138,9 +161,13 @@ def _eyeball_profile() -> np.ndarray:
 def _cornea_profile() -> np.ndarray:
     """A wet shell over the front of the eye that bulges over the iris."""
     theta = np.concatenate([[1e-3], np.linspace(0.03, np.radians(72), 40)])
-    inside = np.clip(1 - (theta / (_LIMBUS * 1.12)) ** 2, 0, 1)
-    radius = 1.006 + _CORNEA_BULGE * inside**1.5
+    radius = _cornea_radius(theta)
     return np.stack([radius * np.sin(theta), radius * np.cos(theta), theta], axis=1)
+
+
+def _cornea_radius(theta: np.ndarray) -> np.ndarray:
+    inside = np.clip(1 - (theta / (_LIMBUS * 1.12)) ** 2, 0, 1)
+    return 1.006 + _CORNEA_BULGE * inside**1.5
 
 
 class _Lids:
@@ -223,6 +250,7 @@ def _lid_pieces(name: str, part: Part) -> list[MeshPiece]:
 
     def tear(bust: Bust) -> np.ndarray:
         centre, radius = eyeball(bust.identity, name)
+        radius *= 1 - _sink(bust, name)
         theta = _lids(bust.model, name).contact(bust, centre, radius, phi)
         kernel = np.ones(5) / 5
         theta = np.convolve(np.pad(theta, 2, mode="edge"), kernel, mode="valid")
@@ -240,6 +268,7 @@ def _lid_pieces(name: str, part: Part) -> list[MeshPiece]:
 
     def caruncle(bust: Bust) -> np.ndarray:
         centre, radius = eyeball(bust.identity, name)
+        radius *= 1 - _sink(bust, name)
         corner = _lids(bust.model, name).inner_corner(bust) - centre
         seat = corner + (1.1e-3 if name == "eye_left" else -1.1e-3) * np.array([1, 0, 0])
         seat *= (radius - 0.2e-3) / np.linalg.norm(seat)
@@ -265,6 +294,38 @@ def _lid_pieces(name: str, part: Part) -> list[MeshPiece]:
             {"colour": (0.55, 0.22, 0.18)},
         ),
     ]
+
+
+def _lid_shade(name: str, part: Part) -> MeshPiece:
+    """A band on the eye along both lids, dark under them: they and the lashes keep light away."""
+    phi = np.arange(_SHADE_SAMPLES) * 2 * np.pi / _SHADE_SAMPLES
+    upper = smoothstep(-0.35, 0.35, np.sin(phi))
+    width = _SHADE_WIDTH[1] + (_SHADE_WIDTH[0] - _SHADE_WIDTH[1]) * upper
+    share, dark = _SHADE_ROWS.T
+    shade = dark * (0.6 + 0.4 * upper[:, None])
+
+    def place(bust: Bust) -> np.ndarray:
+        centre, radius = eyeball(bust.identity, name)
+        radius *= 1 - _sink(bust, name)
+        theta = _lids(bust.model, name).contact(bust, centre, radius, phi)
+        theta = np.convolve(np.pad(theta, 2, mode="wrap"), np.ones(5) / 5, mode="valid")
+        inwards = np.minimum(width / radius, 0.6 * theta)
+        angle = theta[:, None] - share * inwards[:, None]
+        # Over the cornea, which it would otherwise cut.
+        distance = radius * (_cornea_radius(angle) + 0.004)
+        points = centre + _polar(angle, phi[:, None], distance).reshape(-1, 3)
+        return moved(points, bust.bones["head"])
+
+    index = np.arange(_SHADE_SAMPLES * len(share)).reshape(_SHADE_SAMPLES, -1).T
+    return MeshPiece(
+        name.replace("eye", "lid_shade"),
+        part,
+        tube_faces(index),
+        "lid_shade",
+        place,
+        vertex={"shade": shade.ravel()},
+        hidden_from_labels=True,
+    )
 
 
 def _polar(theta: np.ndarray, phi: np.ndarray, distance: np.ndarray) -> np.ndarray:

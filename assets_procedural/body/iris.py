@@ -40,10 +40,10 @@ def eye_texture(
     sclera = _sclera(eyes, theta, x, z, limbus_angle, rng)
     wobble = 0.012 * _angular_noise(rng, phi, 6.0)
     # The limbus is a soft transition: wider where the sclera overlaps the iris (above and below).
-    softness = 0.03 + 0.035 * eyes.limbus * 0.5 + 0.015 * np.abs(np.sin(phi))
+    softness = 0.1 + 0.05 * eyes.limbus + 0.04 * np.abs(np.sin(phi))
     edge = smoothstep(0, 1, (radius + wobble - 1.0) / softness + 0.5)[..., None]
     picture = iris * (1 - edge) + sclera * edge
-    halo = eyes.limbus * 0.22 * np.exp(-(((radius - 1.04) / 0.06) ** 2))
+    halo = eyes.limbus * 0.35 * np.exp(-(((radius - 1.05) / 0.09) ** 2))
     picture *= 1 - halo[..., None] * np.array([0.6, 0.7, 0.6])
     return picture.astype(np.float32)
 
@@ -88,10 +88,10 @@ def _sclera(
     limbus_angle: float,
     rng: np.random.Generator,
 ) -> np.ndarray:
-    white = np.array([0.58, 0.53, 0.49])
+    white = np.array([0.53, 0.485, 0.45])
     outward = np.clip((theta - limbus_angle) / 0.9, 0, 1)
-    pink = np.array([0.62, 0.42, 0.36])
-    blush = (0.12 + 0.55 * eyes.redness) * outward**1.4
+    pink = np.array([0.52, 0.33, 0.28])
+    blush = (0.25 + 0.5 * eyes.redness) * outward**1.2
     # Conjunctiva is pinker in the corners than above and below.
     blush = blush * (0.35 + 0.65 * np.abs(x) / np.maximum(np.hypot(x, z), 1e-6))
     colour = white * (1 - blush[..., None]) + pink * blush[..., None]

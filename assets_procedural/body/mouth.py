@@ -32,12 +32,13 @@ def mouth(person: Person, identity: Identity) -> list[MeshPiece]:
     """Upper and lower teeth and gums, and the tongue: materials "teeth", "gums" and "tongue".
 
     All carry Part.MOUTH_INTERIOR. `parameters["colour"]` is a linear Rec.709 albedo; teeth yellow
-    with age.
+    with age, and the vertex input `tone` (V, 3) multiplies their colour.
     """
     rng = np.random.default_rng([person.skin.seed, 7])
     age = np.clip((person.age_years - 18) / 60, 0, 1)
-    shade = np.array([0.68, 0.62, 0.51]) * (1 - age * np.array([0.14, 0.19, 0.32]))
-    shade = shade * (1 + rng.normal(0, 0.03))
+    shade = np.array([0.77, 0.69, 0.575]) * (1 - age * np.array([0.14, 0.19, 0.32]))
+    yellow = abs(rng.normal(0, 0.5))
+    shade = shade * (1 + rng.normal(0, 0.04)) * (1 - yellow * np.array([0.0, 0.03, 0.1]))
     melanin = person.skin.melanin
     gum = np.array([0.52, 0.19, 0.17]) * (1 - 0.35 * melanin)
     tongue = np.array([0.50, 0.17, 0.15]) * (1 - 0.12 * melanin)
@@ -45,9 +46,9 @@ def mouth(person: Person, identity: Identity) -> list[MeshPiece]:
     pieces = []
     for name, shapes, arch in (("upper", UPPER, _UPPER_ARCH), ("lower", LOWER, _LOWER_ARCH)):
         dentition: Jaw = jaw(shapes, arch, rng)
-        for kind, points, faces, colour in (
-            ("teeth", dentition.teeth, dentition.teeth_faces, shade),
-            ("gums", dentition.gums, dentition.gums_faces, gum),
+        for kind, points, faces, colour, vertex in (
+            ("teeth", dentition.teeth, dentition.teeth_faces, shade, {"tone": dentition.tones}),
+            ("gums", dentition.gums, dentition.gums_faces, gum, {}),
         ):
             if name == "upper":
                 place = rigid("head", frame.upper(points))
@@ -62,6 +63,7 @@ def mouth(person: Person, identity: Identity) -> list[MeshPiece]:
                     kind,
                     place,
                     {"colour": tuple(float(c) for c in np.clip(colour, 0, 0.9))},
+                    vertex=vertex,
                 )
             )
     subdivision, used = _tongue(identity.model)

@@ -81,3 +81,13 @@ def rigid(bone: str, rest: np.ndarray) -> Callable[[Bust], np.ndarray]:
         return moved(rest, bust.bones[bone])
 
     return place
+
+
+def skinned(rest: np.ndarray, weights: np.ndarray) -> Callable[[Bust], np.ndarray]:
+    """A `place` that moves rest positions (V, 3) with the bones by `weights` (V, J)."""
+
+    def place(bust: Bust) -> np.ndarray:
+        motion = bust.blend_bones(weights)
+        return np.einsum("nij,nj->ni", motion[..., :3], rest) + motion[..., 3]
+
+    return place

@@ -1,7 +1,7 @@
 """Skin reflectance: pigments to colour, zone by zone, at every vertex of the head model.
 
-Fine detail (mottling, freckles, pores, wrinkles) is drawn by the skin shader from the strengths
-given here; what is here is the part that needs the anatomy. Colours are linear Rec.709.
+Mottling and pores are drawn by the skin shader from the strengths given here; creases and marks by
+`assets_procedural.skin_detail`. Colours are linear Rec.709.
 """
 
 from __future__ import annotations
@@ -13,29 +13,33 @@ import numpy as np
 from assets_procedural.body.hairline import bare_crown, hairline_distance
 from assets_procedural.body.head import HeadModel
 from assets_procedural.body.regions import fields
-from assets_procedural.person import Person
+from assets_procedural.mesh.vectors import smoothstep
+from assets_procedural.person import ADULT, Person
 
 # Absorbance (-ln reflectance) of bloodless unpigmented skin and of a full measure of each pigment,
 # fitted by eye to photographs from Fitzpatrick type I (melanin 0) to VI (melanin 1); the spectral
 # slope follows Donner & Jensen 2006: melanin absorbs blue most, haemoglobin green.
 BASE = -np.log(np.array([0.82, 0.61, 0.47]))
-MELANIN = np.array([2.00, 2.50, 2.95])
+MELANIN = np.array([2.02, 2.42, 2.74])
 HAEMOGLOBIN = np.array([0.10, 0.50, 0.42])
 # Perceived pigmentation is not linear in absorbance: equal steps of `melanin` look equal.
 _MELANIN_GAMMA = 1.5
 # Pigmented skin hides its blood: without this, dark skin turns orange.
 _VEILING = 0.55
+_ROUGE = (0.40, 0.12, 0.11)
 
 
 @dataclass(frozen=True)
 class SkinFields:
-    """Per-vertex inputs of the skin shader: `colour` (V, 3) linear, the others (V,) in [0, 1]."""
+    """Per-vertex inputs of the skin shader: `colour` (V, 3) linear, the others (V,) in [0, 1].
+
+    `sebum` is the weight of the oily coat, `pores` scales relief and specks, `stubble` shaven hair.
+    """
 
     colour: np.ndarray
     roughness: np.ndarray
+    sebum: np.ndarray
     lips: np.ndarray
-    freckles: np.ndarray
-    wrinkles: np.ndarray
     pores: np.ndarray
     stubble: np.ndarray
 
@@ -60,29 +64,38 @@ def skin_fields(person: Person, model: HeadModel) -> SkinFields:
     blood = 0.32 + 0.58 * skin.haemoglobin
     haemoglobin = blood * (
         1
-        + 0.5 * flush[0] * zone["cheeks"]
-        + 0.45 * flush[1] * zone["nose"]
+        + 0.6 * flush[0] * zone["cheeks"]
+        + 0.65 * flush[1] * zone["nose"]
         + 0.9 * flush[2] * zone["ears"]
-        + 0.35 * flush[3] * zone["chin"]
+        + 0.45 * flush[3] * zone["chin"]
         + 0.45 * zone["eyelids"]
-        - 0.2 * zone["forehead"]
+        - 0.3 * zone["forehead"]
         - 0.35 * zone["neck"]
     )
     melanin = skin.melanin * (1 - 0.06 * zone["cheeks"] + 0.08 * zone["neck"]) + 0.05 * (
-        (zone["under_eye"] + 0.6 * zone["eyelids"]) * (0.5 + 0.8 * age)
+        (1.2 * zone["under_eye"] + 0.6 * zone["eyelids"]) * (0.5 + 0.8 * age)
     )
     colour = reflectance(melanin, haemoglobin)
+    # Thin skin under the eyes: veins behind it take the red.
+    tired = zone["under_eye"] * (0.35 + 0.5 * age) * rng.uniform(0.4, 1.3)
+    colour *= 1 - tired[:, None] * np.array([0.16, 0.12, 0.06])
 
     lip_melanin = 0.1 + 0.75 * skin.melanin
-    lips = reflectance(np.full(1, lip_melanin), np.full(1, 1.5 + 0.9 * skin.haemoglobin))
+    # The red is darkest where it meets the skin.
+    edge = 0.25 * np.clip(4 * zone["lips"] * (1 - zone["lips"]), 0, 1)
+    lips = reflectance(lip_melanin + 0.5 * edge, 1.5 + 0.9 * skin.haemoglobin + edge)
     lips = lips * np.array([0.98, 0.86, 0.92])
     colour += (zone["lips"][:, None] * 0.85) * (lips - colour)
     mucosa = np.array([0.16, 0.035, 0.03])
     colour += zone["mouth_interior"][:, None] * (mucosa - colour)
 
-    has_beard = 1.0 if person.beard.style != "none" else 0.25
-    shadow = male * has_beard * zone["beard"] * (0.4 + 0.6 * person.beard.density)
-    colour *= 1 - 0.28 * shadow[:, None] * np.array([1.0, 0.92, 0.80])
+    # Shaven hair: blue-grey through pale skin, stronger under dark hair, grey hair hardly shows.
+    grown = person.beard.style != "none"
+    dark = (0.35 + 0.65 * person.hair.melanin) * (1 - 0.7 * person.hair.grey)
+    own = 0.15 + 0.75 * np.random.default_rng([skin.seed, 4]).beta(2.0, 2.5)
+    shaven = (0.4 + 0.6 * person.beard.density) if grown else own * dark
+    shadow = male * shaven * zone["beard"] * (person.age_years > ADULT - 2)
+    colour *= 1 - 0.36 * shadow[:, None] * np.array([1.0, 0.90, 0.74])
 
     # Hair stubble within the skin: without it, partings and short cuts show a bare scalp.
     inside = np.clip(hairline_distance(model.template, person) / 7, 0, 1) * zone["scalp"]
@@ -90,20 +103,47 @@ def skin_fields(person: Person, model: HeadModel) -> SkinFields:
     cover = inside * (0.25 if person.hair.style == "bald" else 0.8) * (1 - 0.6 * person.hair.grey)
     colour *= 1 - (cover * (0.35 + 0.45 * person.hair.melanin))[:, None]
 
-    roughness = 0.52 - 0.16 * skin.oiliness * zone["t_zone"] - 0.04 * skin.oiliness
-    roughness = roughness + zone["lips"] * (0.36 - roughness)
+    roughness = 0.53 - 0.14 * skin.oiliness * zone["t_zone"] - 0.04 * skin.oiliness
+    roughness = roughness + 0.05 * zone["cheeks"] * (1 - skin.oiliness)
+    roughness = roughness + zone["lips"] * (0.34 - roughness)
     roughness = roughness + 0.15 * inside
     roughness = roughness + zone["mouth_interior"] * (0.2 - roughness)
+    sebum = (0.08 + 0.2 * skin.oiliness) * (0.55 + 0.9 * zone["t_zone"] - 0.25 * zone["neck"])
+    sebum = np.maximum(sebum, 0.3 * zone["lips"]) * (1 - 0.7 * inside)
+    for paint, strength in _painted(person, zone, model):
+        colour += strength[:, None] * (paint - colour)
+    powder = max(person.makeup.blush, 0.5 * person.makeup.lipstick)
+    sebum = sebum * (1 - 0.4 * powder * (1 - zone["lips"]))
 
-    wrinkling = skin.wrinkles * (zone["forehead"] + zone["under_eye"] + 0.3 * zone["cheeks"])
+    inner = np.clip(zone["cheeks"] * smoothstep(0.058, 0.036, np.abs(model.template[:, 0])), 0, 1)
+    pores = 0.5 + 0.5 * np.maximum.reduce([zone["t_zone"], zone["nose"], inner])
+    pores *= (1 - 0.75 * zone["eyelids"]) * (1 - 0.6 * zone["lips"]) * (0.68 + 0.45 * age)
+    pores *= 1 - 0.2 * powder - 0.2 * zone["neck"]
     return SkinFields(
         colour=np.clip(colour, 0.005, 0.9),
         roughness=np.clip(roughness, 0.15, 0.8),
+        sebum=np.clip(sebum, 0, 1),
         lips=np.clip(zone["lips"], 0, 1),
-        freckles=np.clip(
-            skin.freckles * (zone["cheeks"] + zone["nose"]) + 0.1 * skin.freckles, 0, 1
-        ),
-        wrinkles=np.clip(wrinkling, 0, 1),
-        pores=np.clip(0.35 + 0.65 * np.maximum(zone["t_zone"], zone["cheeks"]), 0, 1),
+        pores=np.clip(pores, 0, 1),
         stubble=np.clip(shadow, 0, 1),
     )
+
+
+def _painted(
+    person: Person, zone: dict[str, np.ndarray], model: HeadModel
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Colours (3,) of what is painted on, with how much of each vertex it covers (V,)."""
+    makeup = person.makeup
+    # Paints are chosen to go with the skin: what is deep on pale skin is bright on dark.
+    deep = 1 - 0.6 * person.skin.melanin
+    x, _, z = np.abs(model.template.T)
+    lid = zone["eyelids"] * smoothstep(0.7255, 0.7325, z) * smoothstep(0.7475, 0.736, z)
+    apple = smoothstep(
+        1, 0.2, np.hypot((x - 0.049) / 0.022, (z - 0.7 - 0.35 * (x - 0.049)) / 0.015)
+    )
+    apple *= 1 - np.clip(zone["ears"] + zone["neck"], 0, 1)
+    return [
+        (deep * np.array(makeup.lip_colour), 0.8 * makeup.lipstick * zone["lips"]),
+        (deep * np.array(makeup.lid_colour), 0.5 * makeup.eyeshadow * lid),
+        (deep * np.array(_ROUGE), 0.35 * makeup.blush * apple),
+    ]

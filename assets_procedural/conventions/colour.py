@@ -1,60 +1,75 @@
 """Colour: sRGB, luminance, and the display transform D from linear light to pictures and back.
 
-y = encode(shoulder(x)), per channel, x linear Rec.709 with 1 = white, after exposure. `shoulder` is
-the identity up to `KNEE` and then a logarithm that joins with equal value and slope, reaches 1 at
-`CLIP` and stays there; `encode` is the piecewise sRGB transfer function (IEC 61966-2-1). D is
-strictly increasing on [0, CLIP], so it is inverted exactly there; above, light is lost.
+D is the response of a camera: a toe, contrast, and a long shoulder at which colours keep their hue
+and pale. With x linear Rec.709 after exposure (1 = white), m its largest channel,
+
+    t = (g(m + e) - g(e)) / (g(CLIP + e) - g(e)),    g(u) = (u^n / (u^n + c^n))^k,
+    y = encode(t - s(t) (t - x t / m)),              s(t) = 1 - p t^6,
+
+where `encode` is the piecewise sRGB transfer function (IEC 61966-2-1), n `SHOULDER`, k `DEPTH`,
+c `PIVOT`, e `TOE` and p `PALING`. The largest channel alone says how bright a pixel becomes, so
+that none clips before the others: the hue, (max - middle) / (max - min) of the channels, stays. A
+pixel gets brighter in all channels with exposure up to a largest channel of `CLIP`, and D is
+inverted exactly up to there; brighter pixels are shown as if they were scaled down to it.
 """
 
 from __future__ import annotations
-
-import math
 
 import numpy as np
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 """(3,) luminance of linear Rec.709: `linear @ LUMINANCE`."""
-KNEE = 0.8
-"""Linear light up to which the curve is straight."""
-CLIP = 8.0
+SHOULDER = 1.25
+"""How fast bright light approaches white."""
+DEPTH = 1.6
+"""How dark blacks are: log over log, the slope of the dark part is `SHOULDER * DEPTH`."""
+PIVOT = 0.2835
+"""Linear light in the middle of the curve, where u^n / (u^n + c^n) is half of white."""
+TOE = 0.002
+"""Linear light below which the curve is straight, so that its inverse has a slope at 0."""
+CLIP = 16.0
 """Linear light that maps to just 1."""
-
-
-def _rate() -> float:
-    """a > 0 of the shoulder KNEE + log(1 + a (x - KNEE)) / a, which is 1 at x = CLIP.
-
-    The slope at KNEE is 1 for every a. log(1 + a t) / a falls in a from t to 0: bisect.
-    """
-    low, high = 1e-3, 1e3
-    for _ in range(200):
-        middle = 0.5 * (low + high)
-        if math.log1p(middle * (CLIP - KNEE)) / middle > 1.0 - KNEE:
-            low = middle
-        else:
-            high = middle
-    return 0.5 * (low + high)
-
-
-RATE = _rate()
-"""Constant a of the shoulder, about 26.2."""
+PALING = 0.6
+"""Share of its colour that the brightest light loses."""
+BLACK, _WHITE = (
+    (u**SHOULDER / (u**SHOULDER + PIVOT**SHOULDER)) ** DEPTH for u in (TOE, CLIP + TOE)
+)
+RANGE = _WHITE - BLACK
+"""g(TOE), and g(CLIP + TOE) - g(TOE)."""
+DARKEST = 1e-6
+"""Light below which the gain of a pixel no longer changes."""
+DARKEST_TONE = 1e-7
+"""About what `DARKEST` becomes."""
 
 
 def display(linear: np.ndarray) -> np.ndarray:
-    """D: linear light (any shape, float) to display-referred values in [0, 1], float.
+    """D: linear light (..., 3), float, to display-referred values in [0, 1], float.
 
-    Negative light gives 0 and NaN stays NaN. float32 stays float32, all else becomes float64.
+    Negative light gives 0, and NaN a pixel of NaN. float32 stays float32, all else becomes float64.
     """
-    x = np.clip(_floating(linear), 0.0, CLIP)
-    # The logarithm's branch is evaluated everywhere, hence the maximum.
-    bent = KNEE + np.log1p(RATE * (np.maximum(x, KNEE) - KNEE)) / RATE
-    return np.minimum(srgb_encode(np.where(x <= KNEE, x, bent)), 1.0).astype(x.dtype)
+    x = np.maximum(floating(linear), 0.0)
+    x = x / np.maximum(x.max(axis=-1, keepdims=True) / CLIP, 1.0)
+    brightest = np.maximum(x.max(axis=-1, keepdims=True), DARKEST)
+    ratio = ((brightest + TOE) / PIVOT) ** SHOULDER
+    tone = ((ratio / (1.0 + ratio)) ** DEPTH - BLACK) / RANGE
+    colour = 1.0 - PALING * tone**6
+    shown = srgb_encode(tone * (1.0 - colour) + colour * (tone / brightest) * x)
+    return np.minimum(shown, 1.0).astype(x.dtype)
 
 
 def undisplay(shown: np.ndarray) -> np.ndarray:
-    """The inverse of `display`: values in [0, 1] to linear light in [0, CLIP]."""
-    y = srgb_decode(np.clip(_floating(shown), 0.0, 1.0))
-    straight = KNEE + np.expm1(RATE * (np.maximum(y, KNEE) - KNEE)) / RATE
-    return np.minimum(np.where(y <= KNEE, y, straight), CLIP).astype(y.dtype)
+    """The inverse of `display`: values (..., 3) in [0, 1] to linear light in [0, CLIP].
+
+    Colours that D never shows, brilliant and bright at once, give the nearest that has no negative
+    channel.
+    """
+    y = srgb_decode(np.clip(floating(shown), 0.0, 1.0))
+    tone = np.maximum(y.max(axis=-1, keepdims=True), DARKEST_TONE)
+    share = (tone * RANGE + BLACK) ** (1.0 / DEPTH)
+    brightest = PIVOT * (share / (1.0 - share)) ** (1.0 / SHOULDER) - TOE
+    colour = 1.0 - PALING * tone**6
+    x = brightest / tone * (y - tone * (1.0 - colour)) / colour
+    return np.clip(x, 0.0, CLIP).astype(y.dtype)
 
 
 def to_bytes(shown: np.ndarray) -> np.ndarray:
@@ -67,18 +82,19 @@ def to_bytes(shown: np.ndarray) -> np.ndarray:
 
 def srgb_encode(linear: np.ndarray) -> np.ndarray:
     """Linear light >= 0 to sRGB values (the transfer function alone)."""
-    x = _floating(linear)
+    x = floating(linear)
     power = 1.055 * np.maximum(x, 0.0031308) ** (1.0 / 2.4) - 0.055
     return np.where(x <= 0.0031308, 12.92 * x, power).astype(x.dtype)
 
 
 def srgb_decode(encoded: np.ndarray) -> np.ndarray:
     """The inverse of `srgb_encode`."""
-    y = _floating(encoded)
+    y = floating(encoded)
     power = ((np.maximum(y, 0.04045) + 0.055) / 1.055) ** 2.4
     return np.where(y <= 0.04045, y / 12.92, power).astype(y.dtype)
 
 
-def _floating(values: np.ndarray) -> np.ndarray:
+def floating(values: np.ndarray) -> np.ndarray:
+    """float32 as it is, all else as float64."""
     values = np.asarray(values)
     return values if values.dtype == np.float32 else values.astype(np.float64)

@@ -10,7 +10,8 @@ import os
 import re
 import select
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any, NoReturn
 
 from typer import Abort, BadParameter, Option, Typer
@@ -69,6 +70,29 @@ def run(app: Callable[..., Any]) -> None:
     if code == INTERRUPTED:
         _say("interrupted")
     _exit(code if isinstance(code, int) else 0)
+
+
+@contextlib.contextmanager
+def limited_memory(more: int) -> Iterator[None]:
+    """Let this process take at most `more` bytes beyond what it has.
+
+    What asks for more gets an error, where the system would end the process. Does nothing on
+    systems that have no such limit, or that do not say what a process has.
+    """
+    try:
+        import resource
+
+        held = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+        before = resource.getrlimit(resource.RLIMIT_AS)
+        most = held + more if before[0] < 0 else min(held + more, before[0])
+        resource.setrlimit(resource.RLIMIT_AS, (most, before[1]))
+    except (ImportError, OSError, ValueError):
+        yield
+        return
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, before)
 
 
 def _user_line(error: Exception) -> str | None:

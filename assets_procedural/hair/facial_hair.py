@@ -7,6 +7,8 @@ is described and the right one mirrored.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from assets_procedural.body.head import Identity
@@ -20,21 +22,63 @@ from assets_procedural.person import Person
 
 # Brow: distance from the middle (m) → height of its axis in template space, half width.
 _BROW_X = np.array([0.009, 0.016, 0.024, 0.032, 0.039, 0.046, 0.054])
-_BROW_Z = np.array([0.7445, 0.7462, 0.7485, 0.7508, 0.7520, 0.7505, 0.7455])
-_BROW_HALF = np.array([0.0042, 0.0046, 0.0044, 0.0040, 0.0033, 0.0024, 0.0010])
+_BROW_Z = np.array([0.7450, 0.7457, 0.7463, 0.7468, 0.7469, 0.7455, 0.7418])
+_BROW_HALF = np.array([0.0036, 0.0046, 0.0045, 0.0040, 0.0033, 0.0024, 0.0011])
+_BROW_MIDDLE, _BROW_PEAK = 0.030, 0.038
+
+
+@dataclass(frozen=True)
+class BrowStyle:
+    """What sets a family of brows apart from the plain one.
+
+    `arch` and `tail` lift the peak and the outer end (mm), `slope` the outer end against the inner
+    one (mm per mm). The others are factors; `unruly` is the spread of the hairs' directions.
+    """
+
+    arch: float = 0.0
+    tail: float = 0.0
+    slope: float = 0.0
+    width: float = 1.0
+    density: float = 1.0
+    length: float = 1.0
+    unruly: float = 1.0
+
+
+BROWS = {
+    "natural": BrowStyle(),
+    "flat": BrowStyle(arch=-1.3, tail=1.6),
+    "straight": BrowStyle(arch=-0.9, tail=1.0, slope=0.035),
+    "arched": BrowStyle(arch=2.0, tail=-0.6, width=0.9),
+    "rounded": BrowStyle(arch=1.2, tail=-1.6, width=0.85),
+    "bushy": BrowStyle(width=1.3, density=1.35, length=1.25, unruly=2.0),
+    "sparse": BrowStyle(width=0.85, density=0.5, length=0.85, unruly=1.3),
+    "thin": BrowStyle(arch=1.2, width=0.55, density=0.85, length=0.8, unruly=0.7),
+}
+"""Families of brows, which people of any job may have."""
 
 
 def brows(person: Person, identity: Identity, rng: np.random.Generator) -> list[StrandPiece]:
-    """Left and right brow."""
-    look = np.random.default_rng(person.brows.seed)
-    arch, height, reach = look.normal(0, 1, 3)
+    """Left and right brow.
+
+    Raises:
+        KeyError: `person.brows.style` is not in `BROWS`.
+    """
+    wearing = person.brows
+    if wearing.style not in BROWS:
+        raise KeyError(f"no brows named {wearing.style!r}; known: {', '.join(BROWS)}")
+    style = BROWS[wearing.style]
+    look = np.random.default_rng(wearing.seed)
     male = 1 - person.phenotypes.get("gender", 0.5)
-    axis = _BROW_Z + 0.0006 * height - 0.0022 * male + 0.0016
-    axis = axis + (0.0008 * arch + 0.0012 * (0.5 - male)) * np.exp(
-        -(((_BROW_X - 0.039) / 0.012) ** 2)
-    )
-    start = 0.0005 * reach - 0.0015 * male * look.random()
-    half = _BROW_HALF * (0.55 + 0.7 * person.brows.thickness + 0.22 * male)
+    outwards = (_BROW_X - _BROW_MIDDLE) / 0.02
+    # The male brow sits lower on the ridge and is flatter.
+    axis = _BROW_Z + 1e-3 * wearing.height_mm + 0.0012 * (0.5 - male)
+    axis = axis + 0.02 * (style.slope + wearing.slope) * outwards
+    arch = style.arch + wearing.arch_mm + 1.2 * (0.5 - male)
+    axis = axis + 1e-3 * arch * np.exp(-(((_BROW_X - _BROW_PEAK) / 0.011) ** 2))
+    axis = axis + 1e-3 * style.tail * smoothstep(_BROW_PEAK, 0.054, _BROW_X)
+    half = _BROW_HALF * style.width * (0.5 + 0.75 * wearing.thickness + 0.15 * male)
+    half = half * np.clip(1 - 0.5 * wearing.taper * outwards, 0.45, 1.6)
+    x_axis = _BROW_X + 1e-3 * wearing.start_mm * np.linspace(1, 0, len(_BROW_X))
     pieces = []
     for name, part, sign in (
         ("brow_left", Part.LEFT_BROW, 1),
@@ -42,36 +86,48 @@ def brows(person: Person, identity: Identity, rng: np.random.Generator) -> list[
     ):
         # No two brows are alike.
         shift, tilt = look.normal(0, 0.0005), look.normal(0, 0.015)
+        ragged = look.normal(0, 0.12, 12)
 
         def across(points: np.ndarray, sign=sign, shift=shift, tilt=tilt) -> tuple:
             x = sign * points[:, 0]
-            centre = np.interp(x, _BROW_X + start, axis) + shift + tilt * (x - 0.03)
-            return x, (points[:, 2] - centre) / np.interp(x, _BROW_X + start, half)
+            centre = np.interp(x, x_axis, axis) + shift + tilt * (x - _BROW_MIDDLE)
+            return x, (points[:, 2] - centre) / np.interp(x, x_axis, half)
 
-        def density(points: np.ndarray, roots: Roots, across=across) -> np.ndarray:
+        def density(points: np.ndarray, roots: Roots, across=across, ragged=ragged) -> np.ndarray:
             x, v = across(points)
-            body = smoothstep(1.3, 0.3, np.abs(v)) * (points[:, 1] < -0.10)
-            head = smoothstep(_BROW_X[0] + start - 0.001, _BROW_X[0] + start + 0.011, x)
-            tail = smoothstep(_BROW_X[-1] + start + 0.001, _BROW_X[-1] + start - 0.006, x)
-            return body * (0.12 + 0.88 * head) * (x > _BROW_X[0] + start - 0.001) * tail
+            v = v + np.interp(x, np.linspace(x_axis[0], x_axis[-1], len(ragged)), ragged)
+            # The lower edge is the cleaner one; stray hairs grow around both.
+            body = smoothstep(1.3, 0.35, v) * smoothstep(-1.15, -0.45, v)
+            body = np.maximum(body, 0.05 * smoothstep(2.0, 1.0, np.abs(v)))
+            head = smoothstep(x_axis[0] - 0.001, x_axis[0] + 0.012, x)
+            tail = smoothstep(x_axis[-1] + 0.001, x_axis[-1] - 0.009, x)
+            grown = body * (0.1 + 0.9 * head) * (0.1 + 0.9 * tail)
+            within = (x > x_axis[0] - 0.001) & (x < x_axis[-1] + 0.001)
+            return grown * within * (points[:, 1] < -0.10)
 
-        count = int((170 + 330 * person.brows.density) * (0.75 + 0.5 * person.brows.thickness))
+        thick = 0.6 + 0.6 * wearing.thickness
+        count = int((260 + 480 * wearing.density) * thick * style.density * style.width**0.5)
         roots = sample_roots(identity, density, count, rng)
+        count = len(roots)
         x, v = across(roots.of(identity.model.template))
-        along = np.clip((x - _BROW_X[0]) / 0.045, 0, 1)
+        along = np.clip((x - x_axis[0]) / (x_axis[-1] - x_axis[0]), 0, 1)
         # Up at the nose, then outward; the upper rows lean down and the lower ones up.
-        angle = np.interp(along, [0, 0.12, 0.3, 0.6, 1], [80, 58, 32, 12, -22])
-        angle = np.radians(angle - 22 * np.clip(v, -1, 1) * smoothstep(0.05, 0.4, along))
-        angle += rng.normal(0, 0.16, len(x))
-        flow = np.stack([sign * np.cos(angle), np.full(len(x), -0.05), np.sin(angle)], axis=1)
-        length = rng.uniform(0.004, 0.009, len(x)) * (1 - 0.35 * along)
-        strands = _lying(identity, roots, flow, length, 6, lift=0.35, hug=0.0007)
-        strands = _locked(strands, 5, 0.3, rng)
-        strands = wander(strands, 0.00035, rng)
-        radius = tapered(len(x), 6, 4.6e-5, 1.2e-5, rng)
+        angle = np.interp(along, [0, 0.1, 0.25, 0.5, 0.75, 1], [84, 68, 40, 17, -6, -30])
+        angle = angle - 30 * np.clip(v, -1, 1) * smoothstep(0.08, 0.4, along)
+        angle = np.radians(angle) + style.unruly * rng.normal(0, 0.13, count)
+        flow = np.stack([sign * np.cos(angle), np.full(count, -0.05), np.sin(angle)], axis=1)
+        # A third is fine short down that fills the brow between its terminal hairs.
+        down = rng.random(count) < 0.35
+        length = style.length * rng.uniform(0.0045, 0.0085, count) * (1 - 0.4 * along**2)
+        length = length * np.where(down, 0.55, 1) * (0.8 + 0.4 * half.max() / _BROW_HALF.max())
+        strands = _lying(identity, roots, flow, length, 6, lift=0.3, hug=0.0006)
+        strands = _locked(strands, 5, 0.25, rng)
+        strands = wander(strands, 0.00025 * style.unruly, rng)
+        radius = tapered(count, 6, 4.4e-5, 1.0e-5, rng)
+        radius = radius * np.where(down, 0.6, 1)[:, None].astype(np.float32)
         grey = float(np.clip(person.hair.grey * 1.1 - 0.35, 0, 1))
-        melanin = np.clip(0.15 + 0.85 * person.hair.melanin, 0, 0.98)
-        shading = colouring(melanin, person.hair.redness, grey, len(x), rng, 0.4)
+        melanin = np.clip(0.25 + 0.75 * person.hair.melanin, 0, 0.98)
+        shading = colouring(melanin, person.hair.redness, grey, count, rng, 0.4)
         bound = SkinBound.at_rest(identity, roots, strands)
         pieces.append(StrandPiece(name, part, radius, bound, shading))
     return pieces
@@ -81,7 +137,7 @@ def lashes(person: Person, identity: Identity, rng: np.random.Generator) -> list
     """All four rows of lashes in one piece; they ride on the lids, so they close with them."""
     model = identity.model
     male = 1 - person.phenotypes.get("gender", 0.5)
-    all_roots, all_strands = [], []
+    all_roots, all_strands, all_radii = [], [], []
     for sign, side in ((1, "left"), (-1, "right")):
         eye = model.template[model.groups[f"eye_{side}"]].mean(axis=0)
         for lid in ("lower", "upper"):
@@ -95,19 +151,19 @@ def lashes(person: Person, identity: Identity, rng: np.random.Generator) -> list
                 ends = smoothstep(0.0195, 0.0245, x) * smoothstep(0.0448, 0.0425, x)
                 return ((away > 0.0163) & (away < 0.0172)) * (0.05 + 0.95 * ends) * (x > 0.0195)
 
-            count = int((120 if upper else 55) * (1.1 - 0.25 * male))
+            count = int((170 if upper else 70) * (1.1 - 0.25 * male))
             roots = sample_roots(
                 identity, rim, count, rng, faces=model.faces[f"lashes_{side}_{lid}"]
             )
             at = roots.of(model.template)
             fan = np.clip((sign * at[:, 0] - 0.031) / 0.012, -1.2, 1.3)
-            length = rng.uniform(0.75, 1.05, count) * (0.0088 - 0.0012 * male if upper else 0.0045)
+            length = rng.uniform(0.6, 1.05, count) * (0.0088 - 0.0012 * male if upper else 0.0038)
             length *= 0.85 + 0.15 * fan if upper else 0.9 + 0.1 * fan
             length *= 1 - 0.25 * smoothstep(0.4, 1.2, np.abs(fan))
             out = np.stack([sign * 0.55 * fan, -1 - 0 * fan, -0.18 + 0 * fan], axis=1)
             if not upper:
                 out[:, 2] = -0.55
-            out = unit(out + rng.normal(0, 0.07, (count, 3)))
+            out = unit(out + rng.normal(0, 0.12 if upper else 0.18, (count, 3)))
             bend = np.array([0, 0.12, 1.0]) if upper else np.array([0, -0.1, -0.35])
             along = np.linspace(0, 1, 6)[None, :, None]
             reach = length[:, None, None]
@@ -117,6 +173,8 @@ def lashes(person: Person, identity: Identity, rng: np.random.Generator) -> list
             )
             strands = roots.of(identity.rest)[:, None] + strands
             tips = _locked(strands, 3, 0.55, rng)
+            thick = tapered(count, 6, 6.2e-5 if upper else 3.6e-5, 1.0e-5, rng)
+            all_radii.append(thick)
             all_roots.append(roots)
             all_strands.append(tips)
     roots = Roots(
@@ -125,9 +183,10 @@ def lashes(person: Person, identity: Identity, rng: np.random.Generator) -> list
     )
     strands = np.concatenate(all_strands)
     count = len(strands)
-    radius = tapered(count, 6, 5.5e-5, 1.2e-5, rng)
-    melanin = float(np.clip(0.45 + 0.55 * person.hair.melanin, 0, 0.98))
-    shading = colouring(melanin, person.hair.redness * 0.5, 0.0, count, rng, 0.4)
+    radius = np.concatenate(all_radii)
+    # Lashes are darker than the hair of the head and grey late.
+    melanin = float(np.clip(0.75 + 0.23 * person.hair.melanin, 0, 0.98))
+    shading = colouring(melanin, person.hair.redness * 0.3, 0.0, count, rng, 0.4)
     bound = SkinBound.at_rest(identity, roots, strands)
     return [StrandPiece("lashes", Part.SKIN, radius, bound, shading)]
 

@@ -22,7 +22,7 @@ from assets_procedural.hair.strands import mix, resample, spread
 from assets_procedural.hair.styles import STYLES, Style
 from assets_procedural.hair.tones import colouring, toned
 from assets_procedural.mesh.vectors import smoothstep, unit
-from assets_procedural.outfit.headwear import above_rim
+from assets_procedural.outfit.headwear import above_rim, hides_hair
 from assets_procedural.person import Hat, Person
 
 _GUIDES = 900
@@ -40,7 +40,7 @@ def scalp_hair(person: Person, identity: Identity, rng: np.random.Generator) -> 
     if person.hair.style not in STYLES:
         raise KeyError(f"no hair style named {person.hair.style!r}; known: {', '.join(STYLES)}")
     style = STYLES[person.hair.style]
-    if style.count == 0:
+    if style.count == 0 or hides_hair(person.hat):
         return []
     person = parted_aside(balding(person, style), style.aside)
     return [_grown(style, person, identity, rng)]

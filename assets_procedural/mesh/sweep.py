@@ -84,3 +84,34 @@ def joined(parts: list[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.n
     starts = np.cumsum([0] + [len(v) for v, _ in parts])
     faces = [f + s for (_, f), s in zip(parts, starts, strict=False)]
     return np.concatenate([v for v, _ in parts]), np.concatenate(faces).astype(np.int32)
+
+
+def shell(
+    grid: np.ndarray, thickness: float, closed: bool = False
+) -> tuple[np.ndarray, np.ndarray]:
+    """A sheet with two sides and a rim from a grid (N, K, 3): vertices (2 N K, 3) and quads.
+
+    The second side lies `thickness` metres behind the first, whose normals are the cross product of
+    steps along N and along K. `closed` joins the last row of N to the first. Vertex k of the grid
+    is followed N K places later by its twin.
+    """
+    along = np.roll(grid, -1, 0) - np.roll(grid, 1, 0) if closed else np.gradient(grid, axis=0)
+    normal = unit(np.cross(along, np.gradient(grid, axis=1)))
+    points = np.concatenate([grid.reshape(-1, 3), (grid - thickness * normal).reshape(-1, 3)])
+    rows, columns = grid.shape[:2]
+    index = np.arange(rows * columns).reshape(rows, columns)
+    around = np.concatenate([index, index[:1]]) if closed else index
+    front = np.stack([around[:-1, :-1], around[1:, :-1], around[1:, 1:], around[:-1, 1:]], -1)
+    front = front.reshape(-1, 4)
+    back = front[:, ::-1] + index.size
+    if closed:
+        rims = [around[::-1, 0], around[:, -1]]
+    else:
+        rims = [np.concatenate(
+            [index[:, -1], index[-1, -2::-1], index[-2::-1, 0], index[0, 1:]]
+        )]  # fmt: skip
+    walls = [
+        np.stack([rim[:-1], rim[1:], rim[1:] + index.size, rim[:-1] + index.size], axis=1)
+        for rim in rims
+    ]
+    return points, np.concatenate([front, back, *walls]).astype(np.int32)

@@ -1,4 +1,4 @@
-"""A library of plausible facial actions: expressions, speech and their left-right imbalance.
+"""A library of plausible facial actions: moods, speech and their left-right imbalance.
 
 Names are ARKit's; a name without Left or Right stands for both sides.
 """
@@ -9,19 +9,48 @@ import numpy as np
 
 Actions = dict[str, float]
 
-EXPRESSIONS: dict[str, Actions] = {
-    "smile": {"mouthSmile": 0.9, "cheekSquint": 0.4, "eyeSquint": 0.25, "mouthDimple": 0.2},
+MOODS: dict[str, Actions] = {
+    "neutral": {},
+    "soft_smile": {
+        "mouthSmile": 0.32, "mouthDimple": 0.12, "cheekSquint": 0.12, "eyeSquint": 0.1,
+        "mouthPress": 0.08,
+    },
+    "smile": {"mouthSmile": 0.8, "cheekSquint": 0.4, "eyeSquint": 0.2, "mouthDimple": 0.2},
     "grin": {
-        "mouthSmile": 1.0, "cheekSquint": 0.6, "eyeSquint": 0.4, "jawOpen": 0.12,
-        "mouthUpperUp": 0.45, "mouthLowerDown": 0.3, "mouthStretch": 0.2,
+        "mouthSmile": 0.95, "cheekSquint": 0.55, "eyeSquint": 0.35, "jawOpen": 0.08,
+        "mouthUpperUp": 0.4, "mouthLowerDown": 0.2, "mouthStretch": 0.15,
     },
     "laugh": {
-        "mouthSmile": 1.0, "cheekSquint": 0.8, "eyeSquint": 0.65, "jawOpen": 0.5,
-        "mouthUpperUp": 0.5, "mouthLowerDown": 0.35, "browOuterUp": 0.2, "noseSneer": 0.15,
+        "mouthSmile": 1.0, "cheekSquint": 0.8, "eyeSquint": 0.6, "jawOpen": 0.4,
+        "mouthUpperUp": 0.45, "mouthLowerDown": 0.25, "browOuterUp": 0.2, "noseSneer": 0.1,
+    },
+    "amused": {
+        "mouthSmileLeft": 0.5, "mouthSmileRight": 0.25, "mouthPress": 0.15, "cheekSquint": 0.2,
+        "eyeSquint": 0.15, "browOuterUp": 0.12,
     },
     "smirk": {
-        "mouthSmileLeft": 0.85, "mouthSmileRight": 0.1, "mouthDimpleLeft": 0.4, "mouthLeft": 0.15,
+        "mouthSmileLeft": 0.75, "mouthSmileRight": 0.1, "mouthDimpleLeft": 0.4, "mouthLeft": 0.12,
         "cheekSquintLeft": 0.35, "browOuterUpLeft": 0.2, "eyeSquint": 0.15,
+    },
+    "attentive": {
+        "browOuterUp": 0.25, "browInnerUp": 0.12, "eyeWide": 0.2, "mouthSmile": 0.12,
+        "mouthShrugUpper": 0.05,
+    },
+    "speechless": {"jawOpen": 0.1, "browOuterUp": 0.2, "mouthFunnel": 0.1, "eyeWide": 0.15},
+    "concentrated": {"browDown": 0.4, "eyeSquint": 0.4, "mouthPress": 0.3, "mouthRollLower": 0.15},
+    "pensive": {"mouthPucker": 0.25, "mouthLeft": 0.25, "browDown": 0.15, "mouthShrugLower": 0.2},
+    "tired": {"eyeBlink": 0.3, "browInnerUp": 0.12, "browOuterUp": 0.1, "mouthShrugLower": 0.1},
+    "surprised": {
+        "browInnerUp": 0.8, "browOuterUp": 0.85, "eyeWide": 0.75, "jawOpen": 0.35,
+        "mouthFunnel": 0.15,
+    },
+    "doubtful": {
+        "browOuterUpRight": 0.7, "browInnerUp": 0.15, "browDownLeft": 0.35, "eyeSquintLeft": 0.3,
+        "mouthPress": 0.25, "mouthLeft": 0.2, "mouthFrownLeft": 0.15,
+    },
+    "worried": {
+        "browInnerUp": 0.75, "browDown": 0.3, "mouthStretch": 0.2, "mouthRollLower": 0.3,
+        "mouthPress": 0.2,
     },
     "sad": {
         "browInnerUp": 0.85, "browDown": 0.2, "mouthFrown": 0.65, "mouthShrugLower": 0.35,
@@ -39,10 +68,6 @@ EXPRESSIONS: dict[str, Actions] = {
         "browDown": 0.8, "noseSneer": 0.5, "eyeSquint": 0.3, "jawOpen": 0.55, "mouthUpperUp": 0.45,
         "mouthLowerDown": 0.5, "mouthStretch": 0.35, "cheekSquint": 0.3,
     },
-    "surprised": {
-        "browInnerUp": 0.8, "browOuterUp": 0.85, "eyeWide": 0.75, "jawOpen": 0.35,
-        "mouthFunnel": 0.15,
-    },
     "afraid": {
         "browInnerUp": 0.9, "browOuterUp": 0.4, "browDown": 0.25, "eyeWide": 0.85,
         "mouthStretch": 0.5, "jawOpen": 0.2, "mouthLowerDown": 0.25,
@@ -55,23 +80,12 @@ EXPRESSIONS: dict[str, Actions] = {
         "mouthDimpleRight": 0.6, "mouthSmileRight": 0.3, "mouthPressRight": 0.35, "eyeBlink": 0.12,
         "browDown": 0.15, "mouthRight": 0.15,
     },
-    "sceptical": {
-        "browOuterUpRight": 0.8, "browInnerUp": 0.2, "browDownLeft": 0.6, "eyeSquintLeft": 0.35,
-        "mouthPress": 0.25, "mouthLeft": 0.2, "mouthFrownLeft": 0.25,
-    },
-    "focused": {"browDown": 0.55, "eyeSquint": 0.45, "mouthPress": 0.3, "mouthRollLower": 0.15},
-    "worried": {
-        "browInnerUp": 0.75, "browDown": 0.3, "mouthStretch": 0.2, "mouthRollLower": 0.3,
-        "mouthPress": 0.2,
-    },
-    "pensive": {"mouthPucker": 0.3, "mouthLeft": 0.3, "browDown": 0.25, "mouthShrugLower": 0.25},
     "pout": {
         "mouthPucker": 0.5, "mouthShrugLower": 0.55, "browInnerUp": 0.35, "mouthFrown": 0.3,
         "browDown": 0.2,
     },
     "kiss": {"mouthPucker": 0.9, "mouthFunnel": 0.2, "eyeSquint": 0.2, "eyeBlink": 0.2},
     "puffed": {"cheekPuff": 0.9, "mouthPress": 0.5, "browOuterUp": 0.25},
-    "sleepy": {"eyeBlink": 0.45, "browInnerUp": 0.3, "jawOpen": 0.06, "browOuterUp": 0.15},
     "grimace": {
         "mouthStretch": 0.8, "mouthLowerDown": 0.45, "mouthUpperUp": 0.25, "eyeSquint": 0.5,
         "browDown": 0.35, "cheekSquint": 0.3,
@@ -82,26 +96,47 @@ EXPRESSIONS: dict[str, Actions] = {
     "yawn": {"jawOpen": 0.8, "eyeBlink": 0.65, "browInnerUp": 0.4, "browOuterUp": 0.25,
              "mouthFunnel": 0.2, "noseSneer": 0.2},
 }  # fmt: skip
-"""Archetypes at full strength."""
+"""What faces do, by the name of a mood, at full strength."""
 
-_OFTEN = {"smile": 3.5, "grin": 2.5, "laugh": 1.2, "focused": 1.5, "smirk": 1.2}
-_SELDOM = {"tongue": 0.3, "wink": 0.4, "yawn": 0.4, "crying": 0.5, "puffed": 0.4, "kiss": 0.5}
-_NAMES = tuple(EXPRESSIONS)
-_WEIGHTS = np.array([_OFTEN.get(name, _SELDOM.get(name, 1.0)) for name in _NAMES])
-_WEIGHTS /= _WEIGHTS.sum()
+EVERYDAY: dict[str, float] = {
+    "neutral": 2.0, "soft_smile": 5.0, "smile": 3.0, "amused": 1.5, "attentive": 1.5, "grin": 1.2,
+    "laugh": 0.6, "smirk": 0.5, "pensive": 0.7, "tired": 0.6, "concentrated": 0.6,
+    "speechless": 0.4, "doubtful": 0.4, "surprised": 0.25, "contempt": 0.2, "worried": 0.2,
+    "sad": 0.2, "angry": 0.15, "disgusted": 0.1, "afraid": 0.1, "pout": 0.1, "kiss": 0.1,
+    "grimace": 0.1, "puffed": 0.05, "wink": 0.1, "yawn": 0.05,
+}  # fmt: skip
+"""Weights of moods as people show them to a camera."""
 
-VISEMES: tuple[Actions, ...] = (
-    {"mouthPress": 0.35, "mouthRollLower": 0.25, "mouthRollUpper": 0.2},  # m, b, p
-    {"jawOpen": 0.42, "mouthLowerDown": 0.2, "mouthUpperUp": 0.1},  # a
-    {"jawOpen": 0.22, "mouthStretch": 0.3, "mouthLowerDown": 0.25, "mouthUpperUp": 0.15},  # e
-    {"jawOpen": 0.12, "mouthStretch": 0.4, "mouthSmile": 0.2, "mouthLowerDown": 0.2},  # i
-    {"jawOpen": 0.3, "mouthFunnel": 0.55, "mouthPucker": 0.25},  # o
-    {"jawOpen": 0.14, "mouthPucker": 0.7, "mouthFunnel": 0.3},  # u, w
-    {"jawOpen": 0.08, "mouthRollLower": 0.5, "mouthUpperUp": 0.25},  # f, v
-    {"jawOpen": 0.1, "mouthFunnel": 0.4, "mouthUpperUp": 0.2, "mouthLowerDown": 0.3},  # sh, ch
-    {"jawOpen": 0.18, "mouthUpperUp": 0.2, "mouthLowerDown": 0.2},  # l, d, t, n
-)
-"""Mouth shapes of speech."""
+WIDE: dict[str, float] = {
+    **{name: 1.0 for name in MOODS if name not in ("neutral", "soft_smile", "speechless")},
+    "smile": 3.5, "grin": 2.5, "laugh": 1.2, "concentrated": 1.5, "smirk": 1.2, "tongue": 0.3,
+    "wink": 0.4, "yawn": 0.4, "crying": 0.5, "puffed": 0.4, "kiss": 0.5,
+}  # fmt: skip
+"""Weights of moods that move every muscle, for what learns or is tested on expressions."""
+
+VISEMES: dict[str, Actions] = {
+    "m": {"mouthPress": 0.35, "mouthRollLower": 0.25, "mouthRollUpper": 0.2},
+    "f": {"jawOpen": 0.08, "mouthRollLower": 0.5, "mouthUpperUp": 0.25},
+    "sh": {"jawOpen": 0.1, "mouthFunnel": 0.4, "mouthUpperUp": 0.2, "mouthLowerDown": 0.3},
+    "s": {"jawOpen": 0.06, "mouthStretch": 0.25, "mouthUpperUp": 0.15, "mouthLowerDown": 0.3},
+    "l": {"jawOpen": 0.18, "mouthUpperUp": 0.15, "mouthLowerDown": 0.2},
+    "k": {"jawOpen": 0.15, "mouthLowerDown": 0.12, "mouthStretch": 0.1},
+    "r": {"jawOpen": 0.12, "mouthFunnel": 0.3, "mouthPucker": 0.2},
+    "a": {"jawOpen": 0.38, "mouthLowerDown": 0.15, "mouthUpperUp": 0.08},
+    "e": {"jawOpen": 0.22, "mouthStretch": 0.25, "mouthLowerDown": 0.2, "mouthUpperUp": 0.12},
+    "i": {"jawOpen": 0.12, "mouthStretch": 0.35, "mouthSmile": 0.2, "mouthLowerDown": 0.2},
+    "o": {"jawOpen": 0.28, "mouthFunnel": 0.5, "mouthPucker": 0.25},
+    "u": {"jawOpen": 0.14, "mouthPucker": 0.7, "mouthFunnel": 0.3},
+}
+"""Mouth shapes of speech by a sound that they are seen with: "m" stands for b and p too."""
+VOWELS = ("a", "e", "i", "o", "u")
+CONSONANTS = tuple(name for name in VISEMES if name not in VOWELS)
+
+_REST = {
+    "mouthSmile": 0.25, "mouthPress": 0.2, "eyeSquint": 0.25, "browOuterUp": 0.25,
+    "browInnerUp": 0.15, "mouthDimple": 0.15, "mouthShrugLower": 0.15, "cheekSquint": 0.1,
+    "mouthLeft": 0.06, "mouthRight": 0.06,
+}  # fmt: skip
 
 _MOUTH = ("mouth", "jaw", "tongue", "cheekPuff")
 
@@ -123,19 +158,29 @@ def blend(*parts: tuple[float, Actions]) -> Actions:
     return total
 
 
-def draw_expression(rng: np.random.Generator) -> Actions:
-    """One archetype, or two mixed, or the eyes of one with the mouth of another."""
-    first = EXPRESSIONS[_NAMES[rng.choice(len(_NAMES), p=_WEIGHTS)]]
-    second = EXPRESSIONS[_NAMES[rng.choice(len(_NAMES), p=_WEIGHTS)]]
-    if rng.random() < 0.5:
-        first, second = mirrored(first), mirrored(second)
+def draw_mood(rng: np.random.Generator, weights: dict[str, float]) -> tuple[str, Actions]:
+    """A mood by its weight, and what the face does: that mood, or mixed with a second one."""
+    names = tuple(weights)
+    chance = np.array([weights[name] for name in names])
+    first, second = (names[k] for k in rng.choice(len(names), size=2, p=chance / chance.sum()))
+    sides = rng.random(2) < 0.5
+    one, other = (
+        mirrored(MOODS[name]) if flip else MOODS[name]
+        for name, flip in zip((first, second), sides, strict=True)
+    )
     kind = rng.random()
-    if kind < 0.55:
-        return dict(first)
-    if kind < 0.85:
-        share = float(rng.uniform(0.35, 0.65))
-        return blend((1.0 - share, first), (share, second))
-    return blend((1.0, without_mouth(first)), (1.0, mouth_only(second)))
+    if kind < 0.6:
+        return first, dict(one)
+    if kind < 0.9:
+        share = float(rng.uniform(0.2, 0.45))
+        return first, blend((1.0 - share, one), (share, other))
+    return first, blend((1.0, without_mouth(one)), (1.0, mouth_only(other)))
+
+
+def draw_rest(rng: np.random.Generator) -> Actions:
+    """The trace of tension that a relaxed face keeps; no face is ever quite at zero."""
+    size = rng.beta(1.2, 4.0, len(_REST))
+    return {name: float(most * s) for (name, most), s in zip(_REST.items(), size, strict=True)}
 
 
 def mirrored(actions: Actions) -> Actions:

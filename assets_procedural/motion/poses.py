@@ -1,22 +1,32 @@
-"""Expressions, gaze and head pose: distributions and smooth tracks."""
+"""Expressions, gaze and head pose of single moments, and the settings of their distributions."""
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from assets_procedural.motion.expressions import (
+    EVERYDAY,
+    MOODS,
     VISEMES,
+    WIDE,
     Actions,
     blend,
-    draw_expression,
+    draw_mood,
+    draw_rest,
     mouth_only,
     resolve,
     without_mouth,
 )
+from assets_procedural.motion.gaze import aim, draw_attention, gaze_in_head, reaches, turn_towards
 from assets_procedural.settings import Interval, Parameters, Settings, interval
+
+if TYPE_CHECKING:
+    Mood = str
+else:  # the names are those of the library
+    Mood = Literal[tuple(MOODS)]
 
 ARKIT_NAMES: tuple[str, ...] = (
     "browDownLeft",
@@ -113,13 +123,19 @@ class PoseSettings(Settings):
     """Distribution of expressions, gaze and head poses; degrees, intervals (low, high)."""
 
     expression: float = Field(default=0.7, ge=0.0, le=1.0)
-    """Typical strength against the full archetypes; 0 keeps every face neutral."""
+    """Typical strength against the full moods; 0 keeps every face neutral."""
     neutral: float = Field(default=0.15, ge=0.0, le=1.0)
     """Probability of a relaxed face (it still blinks and looks around)."""
+    moods: Literal["everyday", "wide"] | dict[Mood, Annotated[float, Field(ge=0.0)]] = "everyday"
+    """How often each mood is shown: "everyday" smiles softly and is seldom upset, "wide" moves
+    every muscle, a table gives relative weights; moods that it leaves out do not occur."""
     talking: float = Field(default=0.25, ge=0.0, le=1.0)
     """Probability of a mouth caught speaking."""
     closed_eyes: float = Field(default=0.03, ge=0.0, le=1.0)
     """Probability of a single pose caught in a blink."""
+    gaze_at_camera: float = Field(default=0.5, ge=0.0, le=1.0)
+    """Probability that the eyes look into the lens of the first camera, where the ranges of gaze
+    and head let them; in a track, of each fixation."""
     gaze_yaw: Annotated[Interval, interval(-35.0, 35.0, "degrees")] = (-25.0, 25.0)
     """Gaze in the head, positive towards the subject's left."""
     gaze_pitch: Annotated[Interval, interval(-30.0, 30.0, "degrees")] = (-18.0, 14.0)
@@ -133,62 +149,86 @@ class PoseSettings(Settings):
     frames_per_second: float = Field(default=2.5, gt=0.0, le=240.0)
     """Time step of a track (video subsets)."""
 
+    @field_validator("moods")
+    @classmethod
+    def _some(cls, moods: str | dict[str, float]) -> str | dict[str, float]:
+        if not isinstance(moods, str) and sum(moods.values()) <= 0.0:
+            raise ValueError('moods needs at least one weight above 0, or "everyday" or "wide"')
+        return moods
+
+    def gaze_bounds(self) -> np.ndarray:
+        """((yaw low, high), (pitch low, high)), radians."""
+        return np.radians([self.gaze_yaw, self.gaze_pitch])
+
+    def head_ranges(self) -> np.ndarray:
+        """(low, high) of pitch, roll and yaw, (3, 2) radians."""
+        return np.radians([self.head_pitch, self.head_roll, self.head_yaw])
+
+    def mood_weights(self) -> dict[str, float]:
+        """Relative weights of the moods that occur."""
+        named = {"everyday": EVERYDAY, "wide": WIDE}
+        return named[self.moods] if isinstance(self.moods, str) else dict(self.moods)
+
 
 _PAIRED = tuple(n.removesuffix("Left") for n in ARKIT_NAMES if n.endswith("Left"))
 _BLINK = [ARKIT_NAMES.index("eyeBlinkLeft"), ARKIT_NAMES.index("eyeBlinkRight")]
 _WIDE = [ARKIT_NAMES.index("eyeWideLeft"), ARKIT_NAMES.index("eyeWideRight")]
 
 
-def sample_pose(rng: np.random.Generator, settings: PoseSettings) -> Pose:
-    """Draw one pose: expression, speech or blink, head turn and a matching gaze."""
-    head = _draw_head(rng, settings)
-    bias = _draw_bias(rng)
-    actions: Actions = {}
-    if rng.random() >= settings.neutral:
-        actions = blend((settings.expression * _draw_strength(rng), draw_expression(rng)))
-    if rng.random() < settings.talking:
-        viseme = VISEMES[rng.integers(len(VISEMES))]
-        actions = _speaking(actions, viseme, float(rng.uniform(0.5, 1.2)))
-    expression = resolve(actions, ARKIT_NAMES, bias)
-    if rng.random() < settings.closed_eyes:
-        _close_eyes(expression, float(rng.uniform(0.5, 1.0)))
-    attention = _draw_attention(rng, head)
-    return _pose(expression, _eyes(attention, head, settings), head)
+def sample_pose(
+    rng: np.random.Generator, settings: PoseSettings, lens: np.ndarray | None = None
+) -> Pose:
+    """Draw one pose: expression, speech or blink, head turn and a matching gaze.
 
-
-def sample_track(rng: np.random.Generator, frames: int, settings: PoseSettings) -> tuple[Pose, ...]:
-    """Draw a smooth motion of `frames` poses, 1 / settings.frames_per_second apart.
-
-    Expression and head ease between key poses, the head sways, the gaze jumps and holds while the
-    head moves under it, eyes blink, and one track in `settings.talking` speaks.
+    `lens` (3,) is where the first camera is, metres from the head's centre in the frame of the
+    trunk; without one nobody looks at it.
     """
-    if frames < 1:
-        raise ValueError(f"a track has at least 1 frame, not {frames}")
-    time = np.arange(frames) / settings.frames_per_second
-    bias = _draw_bias(rng)
-    expression = _expression_track(rng, time, settings, bias)
-    head = _head_track(rng, time, settings)
-    # Fixations are piecewise constant: eyes reach them within one frame.
-    starts = _event_times(rng, time[-1], 0.35, 1.6)
-    targets = np.array([_draw_attention(rng, head[np.searchsorted(time, t) - 1]) for t in starts])
-    attention = targets[np.searchsorted(starts, time, side="right") - 1]
-    lids = _blink_track(rng, time)
-    poses = []
-    for k in range(frames):
-        _close_eyes(expression[k], lids[k])
-        gaze = _eyes(attention[k], head[k], settings)
-        poses.append(_pose(expression[k], gaze, head[k]))
-    return tuple(poses)
+    bias = draw_bias(rng)
+    expression = resolve(draw_actions(rng, settings), ARKIT_NAMES, bias)
+    if rng.random() < settings.closed_eyes:
+        close_eyes(expression, float(rng.uniform(0.5, 1.0)))
+    bounds = settings.gaze_bounds()
+    at_lens = rng.random() < settings.gaze_at_camera
+    head = draw_head(rng, settings)
+    if lens is not None and at_lens:
+        head = turn_towards(lens, head, bounds, settings.head_ranges())
+        if reaches(gaze := aim(lens, head), bounds):
+            return as_pose(expression, gaze, head)
+    return as_pose(expression, gaze_in_head(draw_attention(rng, head), head, bounds), head)
 
 
-def _draw_strength(rng: np.random.Generator) -> float:
+def draw_actions(rng: np.random.Generator, settings: PoseSettings) -> Actions:
+    """What the face does at a moment: its tension at rest, a mood, perhaps a sound."""
+    actions = blend((min(1.0, settings.expression), draw_rest(rng)))
+    if rng.random() >= settings.neutral:
+        _, mood = draw_mood(rng, settings.mood_weights())
+        actions = blend((0.5, actions), (settings.expression * draw_strength(rng), mood))
+    if rng.random() < settings.talking:
+        viseme = VISEMES[str(rng.choice(list(VISEMES)))]
+        # The mood's own mouth stays recognisable.
+        actions = blend(
+            (1.0, without_mouth(actions)),
+            (0.45, mouth_only(actions)),
+            (float(rng.uniform(0.5, 1.1)), viseme),
+        )
+    return actions
+
+
+def draw_strength(rng: np.random.Generator) -> float:
+    """How much of a mood shows, about 1."""
     return float(0.45 + 1.05 * rng.beta(1.8, 1.5))
 
 
-def _draw_bias(rng: np.random.Generator) -> dict[str, float]:
+def draw_bias(rng: np.random.Generator) -> dict[str, float]:
     """Left-right imbalance of a subject's movements: a habit and some noise."""
     habit = rng.normal(0.0, 0.07)
     return dict(zip(_PAIRED, habit + rng.normal(0.0, 0.08, len(_PAIRED)), strict=True))
+
+
+def draw_head(rng: np.random.Generator, settings: PoseSettings) -> np.ndarray:
+    """(pitch, roll, yaw) in radians."""
+    intervals = (settings.head_pitch, settings.head_roll, settings.head_yaw)
+    return np.array([_draw_within(rng, interval) for interval in intervals])
 
 
 def _draw_within(rng: np.random.Generator, interval_degrees: Interval) -> float:
@@ -197,44 +237,14 @@ def _draw_within(rng: np.random.Generator, interval_degrees: Interval) -> float:
     return float(np.radians(low + (high - low) * rng.beta(1.7, 1.7)))
 
 
-def _draw_head(rng: np.random.Generator, settings: PoseSettings) -> np.ndarray:
-    """(pitch, roll, yaw) in radians."""
-    intervals = (settings.head_pitch, settings.head_roll, settings.head_yaw)
-    return np.array([_draw_within(rng, interval) for interval in intervals])
-
-
-def _draw_attention(rng: np.random.Generator, head: np.ndarray) -> np.ndarray:
-    """Gaze (yaw, pitch) against the trunk: towards the front, with the head's turn, or anywhere."""
-    kind = rng.random()
-    along = np.array([head[2], -head[0]])
-    if kind < 0.5:
-        return rng.normal(0.0, np.radians(6.0), 2)
-    if kind < 0.85:
-        return along * rng.uniform(0.9, 1.4) + rng.normal(0.0, np.radians(4.0), 2)
-    return along + rng.normal(0.0, 1.0, 2) * np.radians([14.0, 8.0])
-
-
-def _eyes(attention: np.ndarray, head: np.ndarray, settings: PoseSettings) -> np.ndarray:
-    """Gaze in the head (yaw, pitch) that looks at `attention`, as far as the eyes may turn."""
-    wanted = attention - np.array([head[2], -head[0]])
-    bounds = np.radians([settings.gaze_yaw, settings.gaze_pitch])
-    # A soft stop: gazes do not pile up on the bounds.
-    middle, half = bounds.mean(axis=1), 0.5 * (bounds[:, 1] - bounds[:, 0])
-    reach = np.maximum(half, 1e-9)
-    return middle + reach * np.tanh((wanted - middle) / reach) * (half > 0.0)
-
-
-def _speaking(actions: Actions, viseme: Actions, strength: float) -> Actions:
-    """Speech over an expression, whose own mouth stays recognisable."""
-    return blend((1.0, without_mouth(actions)), (0.45, mouth_only(actions)), (strength, viseme))
-
-
-def _close_eyes(expression: np.ndarray, lid: float) -> None:
+def close_eyes(expression: np.ndarray, lid: float) -> None:
+    """Shut the lids of (52,) values at least by `lid`, in place."""
     expression[_BLINK] = np.maximum(expression[_BLINK], lid)
     expression[_WIDE] *= 1.0 - lid
 
 
-def _pose(expression: np.ndarray, gaze: np.ndarray, head: np.ndarray) -> Pose:
+def as_pose(expression: np.ndarray, gaze: np.ndarray, head: np.ndarray) -> Pose:
+    """Plain data, rounded so that JSON stays short."""
     values = {
         name: round(float(value), 4)
         for name, value in zip(ARKIT_NAMES, expression, strict=True)
@@ -243,83 +253,3 @@ def _pose(expression: np.ndarray, gaze: np.ndarray, head: np.ndarray) -> Pose:
     yaw, pitch = (round(float(angle), 5) for angle in gaze)
     down, roll, turn = (round(float(angle), 5) for angle in head)
     return Pose(expression=values, gaze=(yaw, pitch), head=(down, roll, turn))
-
-
-def _event_times(
-    rng: np.random.Generator, end: float, shortest: float, longest: float
-) -> np.ndarray:
-    """Ascending times from before 0 to past `end`, seconds, spaced `shortest` to `longest`."""
-    times = [-float(rng.uniform(0.0, longest))]
-    while times[-1] <= end:
-        times.append(times[-1] + float(rng.uniform(shortest, longest)))
-    return np.array(times)
-
-
-def _ease(time: np.ndarray, starts: np.ndarray, keys: np.ndarray, share: float) -> np.ndarray:
-    """Key values (K, C) to (T, C): minimum-jerk moves in the first `share` of each span."""
-    span = np.clip(np.searchsorted(starts, time, side="right") - 1, 0, len(starts) - 2)
-    progress = (time - starts[span]) / (starts[span + 1] - starts[span])
-    t = np.clip(progress / share, 0.0, 1.0)[:, None]
-    blending = t**3 * (10.0 - 15.0 * t + 6.0 * t**2)
-    return keys[span] * (1.0 - blending) + keys[span + 1] * blending
-
-
-def _expression_track(
-    rng: np.random.Generator,
-    time: np.ndarray,
-    settings: PoseSettings,
-    bias: dict[str, float],
-) -> np.ndarray:
-    """(T, 52)"""
-    starts = _event_times(rng, time[-1], 0.5, 1.2)
-    starts = np.append(starts, starts[-1] + 1.0)
-    actions: list[Actions] = []
-    for _ in starts:
-        if rng.random() < settings.neutral:
-            actions.append({})
-        elif actions and rng.random() < 0.2:  # the same expression, stronger or weaker
-            actions.append(blend((float(rng.uniform(0.4, 1.3)), actions[-1])))
-        else:
-            strength = settings.expression * _draw_strength(rng)
-            actions.append(blend((strength, draw_expression(rng))))
-    keys = np.array([resolve(a, ARKIT_NAMES, bias) for a in actions])
-    expression = _ease(time, starts, keys, 0.8)
-    if rng.random() < settings.talking:
-        syllables = _event_times(rng, time[-1], 0.18, 0.36)
-        syllables = np.append(syllables, syllables[-1] + 0.25)
-        visemes = []
-        for _ in syllables:
-            viseme = VISEMES[rng.integers(len(VISEMES))]
-            visemes.append(blend((float(rng.uniform(0.4, 1.1)), viseme)))
-        spoken = np.array([resolve(v, ARKIT_NAMES, bias) for v in visemes])
-        mouth = np.array([name.startswith(("mouth", "jaw", "tongue")) for name in ARKIT_NAMES])
-        expression[:, mouth] *= 0.45
-        expression = np.clip(expression + _ease(time, syllables, spoken, 1.0), 0.0, 1.0)
-    return expression
-
-
-def _head_track(rng: np.random.Generator, time: np.ndarray, settings: PoseSettings) -> np.ndarray:
-    """(T, 3) pitch, roll, yaw: key turns with ease and a slow sway, inside the intervals."""
-    starts = _event_times(rng, time[-1], 0.7, 1.7)
-    starts = np.append(starts, starts[-1] + 1.0)
-    keys = [_draw_head(rng, settings)]
-    for _ in starts[1:]:
-        keys.append(keys[-1] + rng.uniform(0.35, 0.95) * (_draw_head(rng, settings) - keys[-1]))
-    head = _ease(time, starts, np.array(keys), 1.0)
-    for _ in range(3):
-        hertz, phase = rng.uniform(0.15, 0.6), rng.uniform(0.0, 2.0 * np.pi, 3)
-        size = np.radians(rng.uniform(0.2, 0.9, 3))
-        head += size * np.sin(2.0 * np.pi * hertz * time[:, None] + phase)
-    bounds = np.radians([settings.head_pitch, settings.head_roll, settings.head_yaw])
-    return np.clip(head, bounds[:, 0], bounds[:, 1])
-
-
-def _blink_track(rng: np.random.Generator, time: np.ndarray) -> np.ndarray:
-    """(T,) lid closure: quick to shut, slower to open, some blinks incomplete."""
-    lids = np.zeros(len(time))
-    for start in _event_times(rng, time[-1], 1.0, 5.0):
-        depth = 1.0 if rng.random() < 0.8 else float(rng.uniform(0.5, 0.9))
-        shut = np.clip((time - start) / 0.09, 0.0, 1.0)
-        opened = np.clip((time - start - 0.15) / 0.2, 0.0, 1.0)
-        lids = np.maximum(lids, depth * np.minimum(shut, 1.0 - opened))
-    return lids

@@ -1,26 +1,26 @@
-"""What a person wears on the head: glasses, earrings, a hat."""
+"""What a person wears besides a top: glasses, jewellery, hat, headphones, scarf."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
-from assets_procedural.body.head import Bust, Identity
-from assets_procedural.body.piece import MeshPiece
-from assets_procedural.body.regions import mirror
+from assets_procedural.body.head import Identity
+from assets_procedural.body.piece import MeshPiece, rigid
 from assets_procedural.conventions.parts import Part
-from assets_procedural.mesh.sweep import ellipsoid, rounded, sweep
+from assets_procedural.mesh.sweep import ellipsoid, joined, rounded, sweep
+from assets_procedural.mesh.vectors import arctan2, unit
 from assets_procedural.outfit.glasses import glasses
 from assets_procedural.outfit.headwear import hat
-from assets_procedural.person import Earrings, Person
+from assets_procedural.outfit.jewellery import earrings, necklace
+from assets_procedural.outfit.scarves import scarf
+from assets_procedural.person import Headphones, Person
 
-# Outer side of the left ear lobe, in the numbering of MakeHuman's base mesh.
-_LOBE = (12041, 12019)
+# Room for hair under the band of headphones, metres.
+_BAND_CLEARANCE = 0.010
 
 
 def accessories(person: Person, identity: Identity) -> list[MeshPiece]:
-    """The glasses, earrings and hat that the person wears, if any.
+    """The glasses, jewellery, hat, headphones and scarf that the person wears, if any.
 
     Raises:
         KeyError: an unknown shape or style.
@@ -29,68 +29,61 @@ def accessories(person: Person, identity: Identity) -> list[MeshPiece]:
     if person.glasses:
         pieces += glasses(person.glasses, identity)
     if person.earrings:
-        pieces += _earrings(person.earrings, identity)
+        pieces += earrings(person.earrings, identity)
+    if person.necklace:
+        pieces += necklace(person.necklace, identity)
     if person.hat:
         pieces += hat(person.hat, identity)
+    if person.headphones:
+        pieces += _headphones(person.headphones, identity)
+    if person.scarf:
+        pieces += scarf(person.scarf, identity)
     return pieces
 
 
-def _earrings(earrings: Earrings, identity: Identity) -> list[MeshPiece]:
-    """A pair of "metal" hoops or studs (Part.FACEWEAR) that hang from the lobes by gravity."""
-    radius = earrings.size_mm * 0.5e-3
+def _headphones(wearing: Headphones, identity: Identity) -> list[MeshPiece]:
+    """Cups over the ears, cushions towards the head, a band over the crown (Part.HEADWEAR)."""
+    model, rest = identity.model, identity.rest
+    skin = model.groups["skin"]
+    ears = skin[model.masks["ears"][skin] > 0.5]
+    hard, soft = [], []
+    tops = []
+    for side in (1.0, -1.0):
+        ear = rest[ears[rest[ears, 0] * side > 0]]
+        centre = np.array([np.quantile(ear[:, 0] * side, 0.85) * side, *ear[:, 1:].mean(axis=0)])
+        centre = centre + [side * 0.006, -0.003, 0.002]
+        hard.append(ellipsoid(centre + [side * 0.008, 0, 0],
+                              np.diag([side * 0.015, side * 0.034, 0.041])))  # fmt: skip
+        angle = np.arange(40) * 2 * np.pi / 40
+        ring = np.stack([0 * angle, 0.027 * np.sin(angle), 0.034 * np.cos(angle)], axis=1)
+        path = ring + centre + [side * -0.005, 0, 0]
+        soft.append(sweep(path, np.array([side, 0, 0]), rounded(0.024, 0.017, 2.4, 14), True))
+        tops.append(centre + [side * 0.013, 0, 0.030])
+    middle = (tops[0] + tops[1]) / 2
+    head = rest[skin[np.abs(rest[skin, 1] - middle[1]) < 0.022]]
+    head = head[head[:, 2] > middle[2]]
+    offset = head - middle
+    turn = arctan2(offset[:, 0], offset[:, 2])
+    reach = np.hypot(offset[:, 0], offset[:, 2])
+    stations = np.linspace(-np.pi / 2, np.pi / 2, 61)
+    near = np.abs(turn[None] - stations[:, None]) < 0.16
+    radius = np.where(near, reach[None], 0).max(axis=1) + _BAND_CLEARANCE
+    ends = np.abs(stations) > np.radians(70)
+    radius[ends] = np.linalg.norm(tops[0] - middle)
+    for _ in range(14):
+        radius[1:-1] = 0.5 * radius[1:-1] + 0.25 * (radius[2:] + radius[:-2])
+    path = middle + radius[:, None] * np.stack(
+        [np.sin(stations), 0 * stations, np.cos(stations)], axis=1
+    )
+    out = unit(path - middle)
+    width = np.interp(np.abs(stations), [0, 1.1, 1.5], [0.034, 0.026, 0.014])[:, None, None]
+    thick = rounded(0.009, 0.0, 3.0)
+    hard.append(sweep(path, out, thick + width * rounded(0.0, 1.0, 3.0), closed=False))
     pieces = []
-    for name, side in (("left", 1.0), ("right", -1.0)):
-        lobe = _lobe(identity, side)
-        if earrings.shape == "hoop":
-            angle = np.arange(64) * 2 * np.pi / 64
-            # In its own frame: x out of the ear, y backwards, z up; the hole at the origin.
-            ring = np.stack([0 * angle, radius * np.sin(angle), radius * np.cos(angle)], axis=1)
-            wire = float(np.clip(0.05 * radius, 0.6e-3, 1.1e-3))
-            points, faces = sweep(
-                ring, ring.copy(), rounded(2 * wire, 2 * wire, 2, 12), closed=True
-            )
-            points = points - [0, 0, radius - 1.2e-3]
-            turn = side * np.radians(38.0)
-            swing = np.array(
-                [
-                    [np.cos(turn), np.sin(turn), 0],
-                    [-np.sin(turn), np.cos(turn), 0],
-                    [0, 0, 1],
-                ]
-            )
-            points = points @ swing
-        elif earrings.shape == "stud":
-            out = np.array([side * 0.6 * radius, 0, 0])
-            points, faces = ellipsoid(out * 0.5, np.diag([side * 0.7, side, 1.0]) * radius)
-        else:
-            raise KeyError(earrings.shape)
-        pieces.append(
-            MeshPiece(
-                f"earring_{name}",
-                Part.FACEWEAR,
-                faces,
-                "metal",
-                _hanging(points, lobe, earrings.shape == "hoop"),
-                {"colour": earrings.colour, "roughness": 0.16},
-            )
-        )
+    for name, parts, look in (
+        ("headphones", hard, {"colour": wearing.colour, "roughness": 0.35}),
+        ("headphones_cushions", soft, {"colour": wearing.accent, "roughness": 0.6}),
+    ):
+        points, faces = joined(parts)
+        pieces.append(MeshPiece(name, Part.HEADWEAR, faces, "plastic", rigid("head", points), look))
     return pieces
-
-
-def _lobe(identity: Identity, side: float) -> np.ndarray:
-    """Indices of the lobe's outer vertices on one side."""
-    index = identity.model.from_base(_LOBE)
-    return index if side > 0 else mirror(identity.model)[index]
-
-
-def _hanging(points: np.ndarray, lobe: np.ndarray, swings: bool) -> Callable[[Bust], np.ndarray]:
-    def place(bust: Bust) -> np.ndarray:
-        rotation = bust.bones["head"][:3, :3]
-        if swings:
-            back = rotation[:, 1] - rotation[2, 1] * np.array([0, 0, 1.0])
-            back /= np.linalg.norm(back)
-            up = np.array([0, 0, 1.0])
-            rotation = np.stack([np.cross(back, up), back, up], axis=1)
-        return bust.vertices[lobe].mean(axis=0) + points @ rotation.T
-
-    return place

@@ -81,8 +81,7 @@ class Sheet:
         )
         # New points blend the original corners, not the snapped ones, so that they lie on the cut.
         matrix = sparse.vstack([move, split @ move]).tocsr() @ self.matrix
-        middle = {(int(i), int(j)): count + k for k, (i, j) in enumerate(cut_edges)}
-        faces = _split_faces(self.faces, middle)
+        faces = _split_faces(self.faces, cut_edges, count)
         return Sheet(matrix, faces, np.concatenate([field, np.full(len(a), level)]))
 
     @cached_property
@@ -126,8 +125,10 @@ def cut_from_skin(
 def border_loops(faces: np.ndarray) -> list[np.ndarray]:
     """Closed loops of border vertices of (T, 3) triangles, in the direction of their faces."""
     directed = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2)
-    both = {(int(i), int(j)) for i, j in directed}
-    following = {i: j for i, j in both if (j, i) not in both}
+    stride = np.int64(faces.max()) + 1
+    keys = directed[:, 0] * stride + directed[:, 1]
+    open_ = ~np.isin(directed[:, 1] * stride + directed[:, 0], keys)
+    following = dict(directed[open_].tolist())
     loops = []
     while following:
         start, current = following.popitem()
@@ -199,28 +200,40 @@ def ring_strip(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
 
 def _edges(faces: np.ndarray) -> np.ndarray:
+    """(E, 2) ascending pairs, in order."""
     pairs = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2)
-    return np.unique(np.sort(pairs, axis=1), axis=0)
+    stride = np.int64(faces.max()) + 1
+    keys = np.unique(pairs.min(axis=1) * stride + pairs.max(axis=1))
+    return np.stack([keys // stride, keys % stride], axis=1)
 
 
-def _split_faces(faces: np.ndarray, middle: dict[tuple[int, int], int]) -> np.ndarray:
-    """Split the triangles that have cut edges into two or three."""
-    result = []
-    for face in faces:
-        i, j, k = (int(v) for v in face)
-        cuts = [middle.get((min(p, q), max(p, q))) for p, q in ((i, j), (j, k), (k, i))]
-        known = [c is not None for c in cuts]
-        if not any(known):
-            result.append((i, j, k))
-        elif sum(known) == 1:
-            turn = known.index(True)
-            p, q, r = (i, j, k)[turn:] + (i, j, k)[:turn]
-            m = cuts[turn]
-            result += [(p, m, r), (m, q, r)]
-        else:
-            # The two cut edges share one corner p.
-            turn = next(n for n in range(3) if known[n] and known[n - 1])
-            p, q, r = (i, j, k)[turn:] + (i, j, k)[:turn]
-            m, n = cuts[turn], cuts[turn - 1]
-            result += [(p, m, n), (m, q, r), (m, r, n)]
-    return np.array(result, np.int32)
+def _split_faces(faces: np.ndarray, edges: np.ndarray, count: int) -> np.ndarray:
+    """Split the triangles (T, 3) that have cut edges into two or three.
+
+    `edges` (E, 2), ascending pairs in order, are cut at the vertices `count` + 0 … E - 1.
+    """
+    stride = np.int64(count)
+    keys = edges[:, 0] * stride + edges[:, 1]
+
+    def middle(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        key = np.minimum(a, b) * stride + np.maximum(a, b)
+        place = np.searchsorted(keys, key).clip(0, max(len(keys) - 1, 0))
+        return np.where(keys[place] == key, count + place, -1) if len(keys) else key * 0 - 1
+
+    i, j, k = faces.T.astype(np.int64)
+    cut = np.stack([middle(i, j), middle(j, k), middle(k, i)], axis=1)
+    known = cut >= 0
+    number = known.sum(axis=1)
+    result = [faces[number == 0]]
+    one = np.flatnonzero(number == 1)
+    turn = np.argmax(known[one], axis=1)
+    p, q, r = (faces[one, (turn + n) % 3] for n in range(3))
+    m = cut[one, turn]
+    result += [np.stack([p, m, r], 1), np.stack([m, q, r], 1)]
+    # The two cut edges share one corner p.
+    two = np.flatnonzero(number == 2)
+    turn = np.argmax(known[two] & np.roll(known[two], 1, axis=1), axis=1)
+    p, q, r = (faces[two, (turn + n) % 3] for n in range(3))
+    m, n = cut[two, turn], cut[two, (turn - 1) % 3]
+    result += [np.stack([p, m, n], 1), np.stack([m, q, r], 1), np.stack([m, r, n], 1)]
+    return np.concatenate(result).astype(np.int32)

@@ -24,7 +24,9 @@ _AVERAGE_HALF_WIDTH = 0.0655
 @dataclass(frozen=True)
 class _Shape:
     """Lens outline in millimetres: half width and height, squareness, `drop` of the outer half;
-    `centre` from the midline; heights of the bridge and of the hinge over the lens's centre."""
+    `centre` from the midline; heights of the bridge and of the hinge over the lens's centre;
+    `lift` of the outer upper corner, `taper` of the lower half. `rim` is what holds the lens: full,
+    brow (acetate above, wire below) or none; `heavy` scales an acetate rim."""
 
     half_width: float
     half_height: float
@@ -34,55 +36,80 @@ class _Shape:
     bridge: float
     hinge: float
     bars: int = 1
+    lift: float = 0.0
+    taper: float = 0.0
+    rim: str = "full"
+    heavy: float = 1.0
 
 
 SHAPES = {
     "round": _Shape(22.5, 22.0, 2.1, 0.0, 33.0, 6.0, 7.0),
+    "oval": _Shape(25.0, 17.5, 2.2, 0.0, 34.0, 5.0, 6.0),
     "rectangle": _Shape(26.0, 17.0, 4.5, 1.0, 34.5, 7.0, 10.0),
     "aviator": _Shape(27.5, 23.5, 2.5, 6.0, 35.5, 5.0, 13.0, bars=2),
+    "wayfarer": _Shape(25.5, 20.0, 3.4, 0.0, 34.5, 9.0, 13.0, lift=2.5, taper=0.14, heavy=1.35),
+    "cat_eye": _Shape(26.0, 19.0, 2.7, 0.0, 34.5, 7.0, 14.0, lift=7.0, taper=0.12, heavy=1.1),
+    "browline": _Shape(25.5, 19.5, 2.9, 0.0, 34.5, 8.0, 13.0, lift=1.5, taper=0.1, rim="brow"),
+    "rimless": _Shape(25.5, 17.0, 3.2, 0.5, 34.5, 5.0, 7.0, rim="none"),
+    "oversized": _Shape(29.0, 25.5, 2.7, 1.5, 37.0, 10.0, 14.0, lift=1.0, taper=0.05, heavy=1.2),
+    "hexagon": _Shape(24.0, 21.5, 2.9, 0.0, 33.5, 7.0, 9.0, taper=0.16),
 }
+# From this tint on a lens is a sunglass lens.
+_SHADED = 0.25
 
 
 def glasses(wearing: Glasses, identity: Identity) -> list[MeshPiece]:
-    """Frame (material "metal" or "plastic") and two lenses ("lens", hidden from the labels).
+    """The frame (material "metal" or "plastic", one piece of each that it has) and two lenses.
 
-    `parameters["tint"]` of a lens is the share of light that it absorbs.
+    A lens is "lens" or, if strongly tinted, "shade"; lenses are hidden from the labels and come
+    last. `parameters["tint"]` of a lens is the share of light that it absorbs; its `uv` run from
+    0 to 1 across and up the lens.
 
     Raises:
         KeyError: an unknown shape.
     """
     shape = SHAPES[wearing.shape]
     fit = _Fit(identity, shape)
-    metal = wearing.metal
-    frame = joined(
-        [
-            *[_rim(fit, shape, side, metal) for side in (1.0, -1.0)],
-            *_bridges(fit, shape, metal),
-            *[part for side in (1.0, -1.0) for part in _nose_pad(fit, shape, side, metal)],
-            *[_temple(fit, shape, identity, side, metal) for side in (1.0, -1.0)],
-        ]
-    )
-    colour = {"colour": wearing.colour, "roughness": 0.18 if metal else 0.25}
-    pieces = [
-        MeshPiece(
-            "glasses_frame",
-            Part.GLASSES,
-            frame[1],
-            "metal" if metal else "plastic",
-            rigid("head", frame[0]),
-            colour,
-        )
-    ]
+    metal = wearing.metal or shape.rim != "full"
+    sides = (1.0, -1.0)
+    wire = [part for side in sides for part in _nose_pad(fit, shape, side, metal)]
+    wire += _bridges(fit, shape, metal)
+    temples = [_temple(fit, shape, identity, side, wearing.metal) for side in sides]
+    bold = []
+    if shape.rim == "brow":
+        wire += [_rim(fit, shape, side, True) for side in sides]
+        bold = [_brow_bar(fit, shape, side) for side in sides] + temples
+    elif metal:
+        thin = 0.35 if shape.rim == "none" else 1.0
+        wire += [_rim(fit, shape, side, True, thin) for side in sides] + temples
+    else:
+        bold = [_rim(fit, shape, side, False, shape.heavy) for side in sides] + temples + wire
+        wire = []
+    silver = wearing.colour if wearing.metal else (0.75, 0.75, 0.77)
+    pieces = []
+    for name, parts, kind, look in (
+        ("glasses_frame", bold, "plastic", {
+            "colour": wearing.colour, "roughness": 0.25, "tortoise": wearing.tortoise}),
+        ("glasses_wire", wire, "metal", {"colour": silver, "roughness": 0.18}),
+    ):  # fmt: skip
+        if parts:
+            points, faces = joined(parts)
+            pieces.append(MeshPiece(name, Part.GLASSES, faces, kind, rigid("head", points), look))
+    shaded = wearing.tint >= _SHADED
+    lens = {"tint": wearing.tint, "ior": 1.5}
+    if shaded:
+        lens |= {"lens": wearing.lens, "gradient": wearing.gradient, "mirror": wearing.mirror}
     for name, side in (("left", 1.0), ("right", -1.0)):
-        points, faces = _lens(fit, shape, side)
+        points, faces, uv = _lens(fit, shape, side)
         pieces.append(
             MeshPiece(
                 f"lens_{name}",
                 Part.GLASSES,
                 faces,
-                "lens",
+                "shade" if shaded else "lens",
                 rigid("head", points),
-                {"tint": wearing.tint, "ior": 1.5},
+                lens,
+                uv[faces],
                 hidden_from_labels=True,
             )
         )
@@ -151,15 +178,33 @@ def _outline(shape: _Shape, side: float) -> tuple[np.ndarray, np.ndarray]:
     low = np.clip(-z / shape.half_height, 0, 1)
     x = x + low * shape.half_width * 0.10 * np.clip(-share, 0, 1) * 1.2
     z = z - shape.drop * 0.5 * (share + 0.4) * low
+    x = x * (1 - shape.taper * low)
+    z = z + shape.lift * np.clip(share, 0, 1) ** 2 * np.clip(z / shape.half_height, 0, 1)
     return side * (shape.centre + x), z
 
 
-def _rim(fit: _Fit, shape: _Shape, side: float, metal: bool) -> tuple[np.ndarray, np.ndarray]:
+def _rim(
+    fit: _Fit, shape: _Shape, side: float, metal: bool, size: float = 1.0
+) -> tuple[np.ndarray, np.ndarray]:
     x, z = _outline(shape, side)
     path = fit.place(x, z)
     outward = path - path.mean(axis=0)
     profile = rounded(1.3e-3, 1.7e-3, 2.6) if metal else rounded(3.0e-3, 3.6e-3, 4.0)
+    # Acetate is stronger above, where the hinges are.
+    upper = np.clip(z / shape.half_height, -1, 1)[:, None, None]
+    profile = profile * size * (1 + (0.0 if metal else 0.18) * upper)
     return sweep(path, outward, profile, closed=True)
+
+
+def _brow_bar(fit: _Fit, shape: _Shape, side: float) -> tuple[np.ndarray, np.ndarray]:
+    """The acetate upper half of a browline frame."""
+    x, z = _outline(shape, side)
+    above = np.flatnonzero(z > 0.12 * shape.half_height)
+    above = above[np.argsort(side * x[above])]
+    path = fit.place(x[above], z[above], 0.3)
+    along = np.linspace(0, 1, len(above))[:, None, None]
+    profile = rounded(5.2e-3, 3.6e-3, 3.6) * (0.55 + 0.6 * np.sin(np.pi * (0.12 + 0.76 * along)))
+    return sweep(path, path - path.mean(axis=0) + [0, 0, 2e-3], profile, closed=False)
 
 
 def _bridges(fit: _Fit, shape: _Shape, metal: bool) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -243,7 +288,7 @@ def _temple(
     return sweep(path, np.array([side, 0.0, 0.0]) + 0 * path, profile, closed=False)
 
 
-def _lens(fit: _Fit, shape: _Shape, side: float) -> tuple[np.ndarray, np.ndarray]:
+def _lens(fit: _Fit, shape: _Shape, side: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     x, z = _outline(shape, side)
     share = np.linspace(0.02, 0.99, 10)[:, None]
     middle = side * shape.centre
@@ -252,7 +297,8 @@ def _lens(fit: _Fit, shape: _Shape, side: float) -> tuple[np.ndarray, np.ndarray
     points = fit.place(x, z, 1.4 * (1 - share**2) + 0 * x)
     index = np.arange(10 * _OUTLINE).reshape(10, _OUTLINE)
     faces = tube_faces(index, flipped=True)
-    return points.reshape(-1, 3), faces if side > 0 else faces[:, ::-1]
+    uv = np.stack([(x - middle) / shape.half_width, z / shape.half_height], axis=-1) * 0.45 + 0.5
+    return points.reshape(-1, 3), faces if side > 0 else faces[:, ::-1], uv.reshape(-1, 2)
 
 
 def _mirrored(identity: Identity, ids: tuple[int, ...], side: float) -> np.ndarray:

@@ -1,4 +1,5 @@
-"""Hats: a beanie and a baseball cap, cut from the scalp and draped over it.
+"""Headwear: what is cut from the scalp and draped over it (beanies, cap, turban, bandana), and
+where every hat ends.
 
 As in `tops`, the cut is a level set over the average person at rest; `field > 0` is hat.
 """
@@ -25,69 +26,150 @@ from assets_procedural.outfit.cloth import (
     ring_strip,
     smooth_ring,
 )
+from assets_procedural.outfit.hats import BRIMMED, brimmed
+from assets_procedural.outfit.scarves import headscarf
 from assets_procedural.person import Hat
 
 # Height of the hat's edge (m, average person) over depth y: forehead, above the ears, nape.
+_CAP = ((-0.150, 0.757), (-0.100, 0.741), (-0.045, 0.727), (0.0, 0.716), (0.08, 0.708))
+_BEANIE = ((-0.150, 0.752), (-0.100, 0.731), (-0.045, 0.713), (0.0, 0.700), (0.08, 0.692))
 _EDGES = {
-    "beanie": ((-0.150, 0.752), (-0.100, 0.731), (-0.045, 0.713), (0.0, 0.700), (0.08, 0.692)),
-    "cap": ((-0.150, 0.757), (-0.100, 0.741), (-0.045, 0.727), (0.0, 0.716), (0.08, 0.708)),
+    "beanie": _BEANIE,
+    "bobble": _BEANIE,
+    "cap": _CAP,
+    "bucket": ((-0.150, 0.757), (-0.100, 0.744), (-0.045, 0.733), (0.0, 0.722), (0.08, 0.712)),
+    "fedora": ((-0.150, 0.762), (-0.100, 0.748), (-0.045, 0.737), (0.0, 0.728), (0.08, 0.718)),
+    "sun_hat": ((-0.150, 0.762), (-0.100, 0.747), (-0.045, 0.736), (0.0, 0.727), (0.08, 0.717)),
+    "turban": ((-0.150, 0.768), (-0.100, 0.742), (-0.045, 0.716), (0.0, 0.700), (0.08, 0.688)),
+    "bandana": ((-0.150, 0.764), (-0.100, 0.745), (-0.045, 0.728), (0.0, 0.712), (0.08, 0.700)),
+}
+_WEAVES = {
+    "beanie": "rib",
+    "bobble": "knit",
+    "cap": "twill",
+    "turban": "jersey",
+    "bandana": "poplin",
 }
 _BRIM = 0.042
 _VISOR_LENGTH = 0.066
 
 
 def hat(wearing: Hat, identity: Identity) -> list[MeshPiece]:
-    """The hat: material "knit" for a beanie, "cloth" for a cap; Part.HEADWEAR.
+    """The hat or headscarf: material "cloth", Part.HEADWEAR.
 
     `uv` are metres around the head and upwards from the edge.
 
     Raises:
         KeyError: an unknown style.
     """
-    sheet = _pattern(identity.model, wearing.style)
+    if wearing.style == "headscarf":
+        return headscarf(wearing, identity)
+    if wearing.style in BRIMMED:
+        sheet = _pattern(identity.model, wearing.style)
+        loop = max(border_loops(sheet.faces), key=len)
+        skin = sheet.matrix @ identity.rest
+        return brimmed(wearing, skin, skin[loop])
+    return _draped(wearing, identity)
+
+
+def hides_hair(wearing: Hat | None) -> bool:
+    """Whether no hair of the head shows under it."""
+    return wearing is not None and wearing.style == "headscarf"
+
+
+def _draped(wearing: Hat, identity: Identity) -> list[MeshPiece]:
+    style = wearing.style
+    sheet = _pattern(identity.model, style)
     skin = sheet.matrix @ identity.rest
     field = sheet.field
-    knitted = wearing.style == "beanie"
+    knitted = style in ("beanie", "bobble")
     # Room for hair, and slack at the crown.
     inside = np.clip(field / 0.03, 0, 1)
     crown = np.clip((field - 0.05) / 0.05, 0, 1)
     least = 0.0035 + 0.003 * inside
-    gap = 0.005 + (0.004 + 0.012 * crown) * inside if knitted else 0.005 + 0.009 * inside
+    gap = 0.005 + 0.009 * inside
+    if knitted:
+        gap = 0.005 + (0.004 + 0.012 * crown) * inside
+    elif style == "bandana":
+        least, gap = 0.0040 + 0.0015 * inside, 0.0055 + 0.002 * inside
     points = drape(sheet, skin, gap, least, 40 if knitted else 60)
     normals = vertex_normals(points, sheet.faces)
+    place = sheet.matrix @ average_person(identity.model)
+    rng = np.random.default_rng(wearing.seed)
+    thick = 0.0015
     if knitted:
         # The brim is folded up: a second layer that ends in a soft step.
         fold = np.clip((_BRIM + 0.002 - field) / 0.004, 0, 1)
         round_edge = 0.5 + 0.5 * np.sin(np.clip(field / _BRIM, 0, 1) * np.pi) ** 0.5
-        points = points + (0.0045 * fold * round_edge)[:, None] * normals
+        lift, thick = 0.0045 * fold * round_edge, 0.004
+        around = arctan2(place[:, 0], -(place[:, 1] + 0.05))
+        slack = np.sin(3 * around + rng.uniform(0, 6)) * np.sin(field * 45 + rng.uniform(0, 6))
+        lift = lift + 0.0035 * np.clip((field - 0.045) / 0.03, 0, 1) * slack
+    elif style == "turban":
+        lift, thick = _wound(place, field, rng), 0.003
+    elif style == "cap":
+        lift = _panels(place, field)
+    else:
+        ripple = np.sin(place @ rng.normal(0, 90, 3)) * np.sin(place @ rng.normal(0, 70, 3))
+        lift = 0.0012 * inside * ripple
+    points = points + lift[:, None] * normals
+    normals = vertex_normals(points, sheet.faces)
     loop = max(border_loops(sheet.faces), key=len)
-    points, faces = _hemmed(points, sheet.faces, loop, normals, 0.004 if knitted else 0.0015)
+    points, faces = _hemmed(points, sheet.faces, loop, normals, thick)
     field = np.concatenate([field, np.zeros(len(points) - len(field))])
     parameters = {
         "colour": wearing.colour,
         "accent": wearing.accent,
-        "pattern": "plain",
-        "weave": "rib" if knitted else "twill",
+        "pattern": wearing.pattern,
+        "weave": _WEAVES[style],
         "roughness": 0.9,
     }
-    material = "knit" if knitted else "cloth"
-    uv = _around(points, field)[faces]
-    pieces = [
-        MeshPiece("hat", Part.HEADWEAR, faces, material, rigid("head", points), parameters, uv)
-    ]
-    if not knitted:
-        top = points[np.argmax(field)]
-        button, button_faces = ellipsoid(top, np.diag([0.006, 0.006, 0.003]))
-        visor, visor_faces = _visor(points[loop])
-        for name, part, quads in (
-            ("hat_button", button, button_faces),
-            ("hat_visor", visor, visor_faces),
+    parts = [("hat", points, faces, _around(points, field))]
+    top = points[np.argmax(field)]
+    if style == "cap":
+        for name, (part, quads) in (
+            ("hat_button", ellipsoid(top, np.diag([0.006, 0.006, 0.003]))),
+            ("hat_visor", _visor(points[loop])),
         ):
-            uv = (part[:, :2] - part[:, :2].min(axis=0))[quads]
-            pieces.append(
-                MeshPiece(name, Part.HEADWEAR, quads, material, rigid("head", part), parameters, uv)
-            )
-    return pieces
+            parts.append((name, part, quads, part[:, :2] - part[:, :2].min(axis=0)))
+    elif style == "bobble":
+        ball, quads = ellipsoid(top + [0, 0, 0.024], np.diag([0.029, 0.029, 0.027]))
+        parts.append(("hat_bobble", ball, quads, ball[:, :2]))
+    elif style == "bandana":
+        knot = points[loop][np.argmax(points[loop][:, 1])] + [0, 0.006, 0.008]
+        ball, quads = ellipsoid(knot, np.diag([0.016, 0.009, 0.012]))
+        parts.append(("hat_knot", ball, quads, ball[:, :2]))
+    return [
+        MeshPiece(
+            name,
+            Part.HEADWEAR,
+            quads,
+            "cloth",
+            rigid("head", part),
+            {**parameters, "weave": "pile"} if name == "hat_bobble" else parameters,
+            uv[quads],
+            {"seams": np.ones((len(part), 3))},
+        )
+        for name, part, quads, uv in parts
+    ]
+
+
+def _wound(place: np.ndarray, field: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Heights (N,) of cloth wound around the head that crosses over the forehead, metres."""
+    x, y, z = place.T
+    front = np.clip(-(y + 0.03) / 0.08, 0, 1)
+    over = np.where(x * rng.choice([-1.0, 1.0]) > 0, 1.0, -1.0)
+    climb = z + (0.75 * np.abs(x) - 0.055) * front - 0.25 * y
+    ridge = np.abs(np.sin(np.pi * climb / 0.019 + 0.35 * over * front))
+    roll = np.clip(field / 0.010, 0, 1) ** 0.5 * np.clip((0.125 - field) / 0.05, 0.15, 1)
+    return roll * (0.008 + 0.0075 * ridge**0.7)
+
+
+def _panels(place: np.ndarray, field: np.ndarray) -> np.ndarray:
+    """Heights (N,) of a cap's six panels, which bulge between their seams, metres."""
+    around = arctan2(place[:, 0], -(place[:, 1] + 0.045))
+    between = np.abs(np.sin(3 * around))
+    return 0.0028 * np.minimum(between * 2.2, 1) ** 0.6 * np.clip(field / 0.01, 0.3, 1)
 
 
 def above_rim(points: np.ndarray, wearing: Hat, identity: Identity) -> np.ndarray:
@@ -96,6 +178,8 @@ def above_rim(points: np.ndarray, wearing: Hat, identity: Identity) -> np.ndarra
     Positive where the hat sits, negative below it.
     """
     model = identity.model
+    if hides_hair(wearing):
+        return np.full(len(points), 0.1)
     skin = model.groups["skin"]
     _, nearest = KDTree(identity.rest[skin]).query(points)
     return _field(average_person(model)[skin], wearing.style)[nearest] + 0.003
@@ -107,7 +191,7 @@ def _field(p: np.ndarray, style: str) -> np.ndarray:
     return (p[:, 2] - np.interp(p[:, 1], depth, height)) / np.hypot(1, slope)
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=8)
 def _pattern(model: HeadModel, style: str) -> Sheet:
     average = average_person(model)
     quads = model.faces["skin"]
@@ -115,7 +199,7 @@ def _pattern(model: HeadModel, style: str) -> Sheet:
     ears = model.masks["ears"][quads].max(axis=1) > 0.5
     near = (_field(average, style)[quads].max(axis=1) > -0.02) & ~ears
     sheet = cut_from_skin(model, quads[near], partial(_field, style=style))
-    if style == "beanie":
+    if style in ("beanie", "bobble"):
         sheet = sheet.cut(_BRIM - 0.002).cut(_BRIM + 0.002)
     return sheet
 

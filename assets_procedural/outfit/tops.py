@@ -1,297 +1,197 @@
-"""Tops: cut from the bust along a neckline, draped over it, and hemmed.
-
-Necklines and armholes are level sets over the rest shape of the average person, in metres, so every
-style fits every identity. `field > 0` is cloth.
-"""
+"""What a person wears on the trunk: a top, and perhaps an open jacket over it."""
 
 from __future__ import annotations
 
-import itertools
-from dataclasses import dataclass
-from functools import lru_cache, partial
-
 import numpy as np
 
-from assets_procedural.body.head import Bust, HeadModel, Identity, vertex_normals
+from assets_procedural.body.head import Identity
 from assets_procedural.body.piece import MeshPiece
 from assets_procedural.conventions.parts import Part
-from assets_procedural.mesh.vectors import arctan2
-from assets_procedural.outfit.cloth import (
-    Sheet,
-    average_person,
-    border_loops,
-    cut_from_skin,
-    drape,
-    ring_strip,
-    smooth_ring,
-)
-from assets_procedural.person import Person
+from assets_procedural.mesh.sweep import ellipsoid, joined
+from assets_procedural.mesh.vectors import smoothstep, unit
+from assets_procedural.outfit.cloth import average_person
+from assets_procedural.outfit.collars import collar
+from assets_procedural.outfit.fabrics import FABRICS
+from assets_procedural.outfit.garment import Garment, Patchwork
+from assets_procedural.outfit.necklines import JACKETS, NECKLINES
+from assets_procedural.person import Jacket, Person, Top
 
 # Skin farther than this inside the garment (metres) can never be seen.
 _HIDDEN_MARGIN = 0.022
-
-
-@dataclass(frozen=True)
-class _Style:
-    """How a top is cut, in metres.
-
-    `front` and `back` are the heights where the neckline crosses the midline of the average person
-    and `vee` the point of a V-neck (0: none); `gap` is the slack over the skin, `band` the width of
-    the collar band and `thickness` its rise off the cloth.
-    """
-
-    front: float
-    back: float
-    gap: float
-    band: float
-    thickness: float
-    material: str = "cloth"
-    vee: float = 0.0
-    sleeveless: bool = False
-
-
-STYLES = {
-    "tee": _Style(0.494, 0.551, 0.006, 0.020, 0.0012),
-    "vneck": _Style(0.500, 0.550, 0.006, 0.016, 0.0012, vee=0.437),
-    "tank": _Style(0.468, 0.512, 0.004, 0.009, 0.0008, sleeveless=True),
-    "crew_sweater": _Style(0.503, 0.557, 0.010, 0.024, 0.0026, material="knit"),
-}
+# How high a jacket lies over the skin, clear of a thin top whose folds it presses flat (metres).
+_UNDER_JACKET = 0.008
 
 
 def wardrobe(person: Person, identity: Identity) -> list[MeshPiece]:
-    """The top that a person wears: its body and its collar band.
+    """The top and the jacket that a person wears: bodies, bands, collars, plackets and buttons.
 
-    Materials "cloth" or "knit"; `parameters` hold colour and accent (linear Rec.709), pattern,
-    weave and roughness. `uv` are metres along the cloth: u across and v upwards, or along and
-    across the band.
+    Material "cloth" ("metal" or "plastic" for buttons); `parameters` hold colour and accent (linear
+    Rec.709), pattern, weave and roughness. `uv` are metres along the cloth: u across and v upwards,
+    or along and across the band.
 
     Raises:
-        KeyError: an unknown style.
+        KeyError: an unknown neckline, fabric, collar or jacket.
     """
-    style = STYLES[person.top.style]
-    pattern = _pattern(identity.model, person.top.style)
-    garment = _Garment(pattern, style, person, identity)
-    colours = {"colour": person.top.colour, "accent": person.top.accent}
-    weave = "knit" if style.material == "knit" else "jersey"
-    body = {"pattern": person.top.pattern, "weave": weave, "roughness": 0.9, **colours}
-    band = {"pattern": "plain", "weave": "rib", "roughness": 0.9, **colours}
-    if person.top.pattern == "ringer":
-        band["colour"] = person.top.accent
-    return [
-        garment.piece("top", garment.body_faces, style.material, body, garment.uv),
-        garment.piece("collar", garment.band_faces, "knit", band, garment.band_uv),
-    ]
+    top, jacket = person.top, person.jacket
+    fabric = FABRICS[top.fabric]
+    rng = np.random.default_rng(top.seed)
+    if jacket is None:
+        garment = Garment(identity, NECKLINES[top.neckline], fabric, rng)
+    else:
+        over = JACKETS[jacket.style]
+        garment = Garment(
+            identity, NECKLINES[top.neckline], fabric, rng,
+            calm=lambda p: 0.15 + 0.85 * smoothstep(0.02, -0.03, over.field(p)),
+        )  # fmt: skip
+    pieces = _dressed(garment, identity, top)
+    if jacket is not None:
+        pieces += _jacket(jacket, identity, fabric.slack + fabric.thickness)
+    return pieces
 
 
 def covered_skin(person: Person, identity: Identity) -> np.ndarray:
     """(F,) mask over `model.faces["skin"]`: quads wholly under the top, safe to leave out."""
     model = identity.model
-    field = _field(average_person(model), person.top.style)
+    field = NECKLINES[person.top.neckline].field(average_person(model))
     return (field[model.faces["skin"]] > _HIDDEN_MARGIN).all(axis=1)
 
 
-def _field(p: np.ndarray, name: str) -> np.ndarray:
-    """Signed distance (N,) into the garment over positions (N, 3) on the average person."""
-    style = STYLES[name]
-    x, y, z = np.abs(p[:, 0]), p[:, 1], p[:, 2]
-    # A saddle through the pit of the neck (y -.080) and the nape (y .032) that climbs to the sides,
-    # where the shoulder seams meet the neck.
-    slope = (style.back - style.front) / 0.112
-    climb = 2.9
-    edge = style.back + slope * (y - 0.032) + climb * np.minimum(x, 0.12) ** 2
-    field = (edge - z) / np.sqrt(1 + slope**2 + (2 * climb * np.minimum(x, 0.12)) ** 2)
-    if style.vee:
-        top, half = style.front + 0.030, 0.068
-        rise = top - style.vee
-        wedge = (x * rise - (z - style.vee) * half) / np.hypot(rise, half)
-        field = np.where(y < -0.02, _soft_min(field, wedge, 0.006), field)
-    if style.sleeveless:
-        field = _soft_max(field, x - 0.078, 0.03)
-        hole = 0.128 + 0.25 * np.clip(0.43 - z, 0, 0.1) - x
-        field = _soft_min(field, hole, 0.004)
-    return np.where(z > 0.57, -0.05, field)  # never the head, however wide the ears
+def _look(worn: Top | Jacket, **changes: object) -> dict:
+    fabric = FABRICS[worn.fabric]
+    return {
+        "colour": worn.colour, "accent": worn.accent, "pattern": worn.pattern,
+        "weave": fabric.weave, "roughness": fabric.roughness, **changes,
+    }  # fmt: skip
 
 
-def _soft_min(a: np.ndarray, b: np.ndarray, width: float) -> np.ndarray:
-    h = np.clip(0.5 + 0.5 * (b - a) / width, 0, 1)
-    return b + (a - b) * h - width * h * (1 - h)
+def _dressed(garment: Garment, identity: Identity, top: Top) -> list[MeshPiece]:
+    knitted = FABRICS[top.fabric].weave in ("fleece", "pile", "knit", "cable", "rib", "jersey")
+    trim = _look(top, pattern="plain", weave="rib" if knitted else FABRICS[top.fabric].weave)
+    if top.pattern == "ringer":
+        trim["colour"] = top.accent
+    whole = _look(top, pattern="plain" if top.pattern == "ringer" else top.pattern)
+    pieces = garment.body(whole, trim)
+    if garment.outline.collar:
+        folded = garment.outline.collar in ("shirt", "hood")
+        soft = trim if not folded else _look(top, pattern=_quiet(top.pattern))
+        pieces += collar(garment, identity, soft, top.seed + 1)
+    if top.closure != "none":
+        pieces += _placket(garment, top)
+    return pieces
 
 
-def _soft_max(a: np.ndarray, b: np.ndarray, width: float) -> np.ndarray:
-    return -_soft_min(-a, -b, width)
+def _quiet(pattern: str) -> str:
+    """Collars repeat woven patterns but no prints."""
+    return pattern if pattern in ("stripes", "pinstripe", "check") else "plain"
 
 
-@dataclass(frozen=True, eq=False)
-class _Pattern:
-    """The cut of one style: what does not depend on the identity."""
-
-    sheet: Sheet
-    band: np.ndarray  # (T,) faces of the collar band
-    necklines: list[np.ndarray]  # border loops where the garment ends
-    ends: list[np.ndarray]  # border loops where the bust ends: sleeves and the waist
-
-
-@lru_cache(maxsize=8)
-def _pattern(model: HeadModel, name: str) -> _Pattern:
-    style = STYLES[name]
-    average = average_person(model)
-    quads = model.faces["skin"]
-    near = _field(average, name)[quads].max(axis=1) > -0.03
-    sheet = cut_from_skin(model, quads[near], partial(_field, name=name))
-    sheet = sheet.cut(style.band - 0.0005).cut(style.band + 0.0009)
-    band = sheet.field[sheet.faces].mean(axis=1) < style.band - 0.0005
-    loops = [loop for loop in border_loops(sheet.faces) if len(loop) > 8]
-    necklines = [loop for loop in loops if np.abs(sheet.field[loop]).max() < 1e-6]
-    ends = [loop for loop in loops if sheet.field[loop].max() > 1e-3]
-    return _Pattern(sheet, band, necklines, ends)
-
-
-class _Garment:
-    """A pattern fitted to an identity: rest positions, skinning weights, faces."""
-
-    def __init__(self, pattern: _Pattern, style: _Style, person: Person, identity: Identity):
-        sheet = pattern.sheet
-        model = identity.model
-        self._points: list[np.ndarray] = []
-        self._weights: list[np.ndarray] = []
-        self._texture: list[np.ndarray] = []
-        self._count = 0
-        skin = sheet.matrix @ identity.rest
-        average = sheet.matrix @ average_person(model)
-        field = sheet.field
-        inside = np.clip(field / 0.05, 0, 1)
-        least = 0.0022 + (0.6 * style.gap) * inside
-        gap = 0.003 + style.gap * inside
-        cloth = drape(sheet, skin, gap, least, 36)
-        normals = vertex_normals(cloth, sheet.faces)
-        # The band lies on the cloth, with a seam as a small step below it.
-        raised = np.clip((style.band + 0.0009 - field) / 0.0014, 0, 1)
-        lift = style.thickness * raised
-        lift += _folds(average, field, np.random.default_rng(person.top.seed), style.gap)
-        cloth = cloth + lift[:, None] * normals
-
-        weights = sheet.matrix @ model.weights.astype(float)
-        for _ in range(20):
-            weights = sheet.smoothing @ weights
-        self._add(cloth, weights, _unrolled(average))
-        body = [sheet.faces[~pattern.band]]
-        band = [sheet.faces[pattern.band]]
-        for loop in pattern.necklines:
-            band.append(self._hem(loop, cloth, normals, style, weights))
-        for loop in pattern.ends:
-            body.append(self._close(loop, cloth, weights))
-        self.body_faces = np.concatenate(body).astype(np.int32)
-        self.band_faces = np.concatenate(band).astype(np.int32)
-        self.rest = np.concatenate(self._points)
-        self.weights = np.concatenate(self._weights)
-        self.uv = np.concatenate(self._texture)
-        self.band_uv = self._around(pattern, np.concatenate([field, np.zeros(self._count)]))
-
-    def piece(
-        self, name: str, faces: np.ndarray, material: str, parameters: dict, uv: np.ndarray
-    ) -> MeshPiece:
-        used, local = np.unique(faces, return_inverse=True)
-        local = local.reshape(-1, 3).astype(np.int32)
-        rest, weights = self.rest[used], self.weights[used]
-
-        def place(bust: Bust) -> np.ndarray:
-            motion = bust.blend_bones(weights)
-            return np.einsum("nij,nj->ni", motion[..., :3], rest) + motion[..., 3]
-
-        return MeshPiece(name, Part.CLOTHING, local, material, place, parameters, uv[used][local])
-
-    def _add(self, points: np.ndarray, weights: np.ndarray, uv: np.ndarray) -> int:
-        start = self._count
-        self._points.append(points)
-        self._weights.append(weights)
-        self._texture.append(uv)
-        self._count += len(points)
-        return start
-
-    def _hem(
-        self,
-        loop: np.ndarray,
-        cloth: np.ndarray,
-        normals: np.ndarray,
-        style: _Style,
-        weights: np.ndarray,
-    ) -> np.ndarray:
-        """Turn the cloth in at its edge: a rounded rim and a lining that ends out of sight."""
-        edge, normal = cloth[loop], smooth_ring(normals[loop], 6)
-        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-        tangent = np.roll(edge, -1, axis=0) - np.roll(edge, 1, axis=0)
-        tangent = smooth_ring(tangent / np.linalg.norm(tangent, axis=1, keepdims=True), 6)
-        # Faces lie to the left of their border, so this points out of the cloth.
-        out = np.cross(tangent, normal)
-        out /= np.linalg.norm(out, axis=1, keepdims=True)
-        thick = style.thickness + 0.0006
-        profile = ((0.5, -0.25), (0.35, -0.8), (-0.5, -1.15), (-3.0, -1.3), (-7.0, -1.5))
-        rings = [loop]
-        for along, above in profile:
-            ring = edge + thick * (along * out + above * normal)
-            start = self._add(ring, weights[loop], self._texture[0][loop])
-            rings.append(start + np.arange(len(loop)))
-        return np.concatenate([ring_strip(a, b) for a, b in itertools.pairwise(rings)])
-
-    def _close(self, loop: np.ndarray, cloth: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """Extend a sleeve or the waist beyond the end of the bust, and close it there."""
-        edge = cloth[loop]
-        middle = edge.mean(axis=0)
-        sideways = np.abs(middle[0]) > 0.5 * np.ptp(cloth[:, 0]) * 0.5
-        if sideways:
-            axis = np.array([np.sign(middle[0]) * 0.68, 0.0, -0.73])
-            reach = 0.10
-        else:
-            axis, reach = np.array([0.0, 0.0, -1.0]), 0.12
-        farthest = ((edge - middle) @ axis).max()
-        target = edge + (farthest + reach - (edge - middle) @ axis)[:, None] * axis
-        target = (
-            middle
-            + (farthest + reach) * axis
-            + 0.94 * (target - middle - (farthest + reach) * axis)
+def _placket(garment: Garment, top: Top) -> list[MeshPiece]:
+    """A strip down the front's middle with buttons, or a zip's tape."""
+    average = garment.average
+    zipped = top.closure == "zip"
+    half = 0.009 if zipped else 0.0155
+    shift = 0.0 if zipped else 0.004
+    vee = garment.outline.vee or garment.outline.front
+    strip = np.minimum(half - np.abs(average[:, 0] - shift), vee + 0.012 - average[:, 2])
+    strip = np.where(average[:, 1] < -0.03, strip, -0.05)
+    points, weights, places, faces = garment.panel(strip, garment.fabric.thickness + 0.0004)
+    patches = Patchwork()
+    patches.add(points, weights, places[:, [0, 2]] + 0.5)
+    look = _look(top, pattern=_quiet(top.pattern))
+    if zipped:
+        look = {**look, "pattern": "zip", "accent": (0.35, 0.35, 0.36)}
+    pieces = [patches.piece("placket", faces, look)]
+    if not zipped:
+        heights = np.arange(
+            vee - 0.004, 0.33, -0.075 if garment.outline.collar == "shirt" else -0.028
         )
-        target = smooth_ring(target, 30)
-        rings = [loop]
-        for share in (0.15, 0.4, 0.7, 1.0):
-            ring = edge + share * (target - edge)
-            start = self._add(ring, weights[loop], self._texture[0][loop] + [0, -share * reach])
-            rings.append(start + np.arange(len(loop)))
-        cap = self._add(target.mean(axis=0)[None], weights[loop].mean(axis=0)[None],
-                        self._texture[0][loop].mean(axis=0)[None])  # fmt: skip
-        last = rings[-1]
-        fan = np.stack([np.roll(last, -1), last, np.full(len(last), cap)], axis=1)
-        strips = [ring_strip(a, b) for a, b in itertools.pairwise(rings)]
-        return np.concatenate([*strips, fan])
-
-    def _around(self, pattern: _Pattern, field: np.ndarray) -> np.ndarray:
-        """Texture of the band: metres around the neck and across the band."""
-        centre = self.rest[pattern.necklines[0]].mean(axis=0)
-        offset = self.rest - centre
-        angle = arctan2(offset[:, 0], -offset[:, 1])
-        radius = np.hypot(offset[pattern.necklines[0], 0], offset[pattern.necklines[0], 1]).mean()
-        return np.stack([(angle + np.pi) * radius, field[: len(angle)] + 0.1], axis=1)
+        heights = heights[: 8 if garment.outline.collar == "shirt" else 3]
+        pieces.append(_buttons(garment, shift, heights, top.accent))
+    return pieces
 
 
-def _unrolled(average: np.ndarray) -> np.ndarray:
-    """Metre-like texture coordinates: across the body, and around it from front to back."""
-    angle = arctan2(average[:, 2] - 0.38, -(average[:, 1] + 0.02))
-    return np.stack([average[:, 0] + 0.5, 0.13 * angle + 0.5], axis=1)
+def _buttons(
+    garment: Garment, across: float, heights: np.ndarray, colour: tuple[float, float, float]
+) -> MeshPiece:
+    """Buttons (half width 5.5 mm) on the placket at places of the average person."""
+    parts, weights = [], []
+    front = np.flatnonzero(garment.average[:, 1] < -0.03)
+    for height in heights:
+        gap = garment.average[front][:, [0, 2]] - [across, height]
+        at = front[np.argmin((gap**2).sum(axis=1))]
+        normal = garment.normals[at]
+        centre = garment.cloth[at] + (garment.fabric.thickness + 0.0012) * normal
+        side = unit(np.cross([0.0, 0.0, 1.0], normal))
+        axes = np.stack([side * 0.0055, np.cross(normal, side) * 0.0055, normal * 0.0014])
+        points, faces = ellipsoid(centre, axes)
+        parts.append((points, faces))
+        weights.append(np.repeat(garment.weights[at][None], len(points), axis=0))
+    points, faces = joined(parts)
+    patches = Patchwork()
+    patches.add(points, np.concatenate(weights), points[:, [0, 2]])
+    piece = patches.piece("buttons", faces, {"colour": colour, "roughness": 0.3})
+    return MeshPiece(
+        piece.name, Part.CLOTHING, piece.faces, "plastic", piece.place, piece.parameters
+    )
 
 
-def _folds(
-    average: np.ndarray, field: np.ndarray, rng: np.random.Generator, gap: float
-) -> np.ndarray:
-    """Heights (N,) in metres of soft folds that start below the collar."""
-    height = np.zeros(len(average))
-    for _ in range(7):
-        lean = rng.normal(0, 0.5)
-        direction = np.array([np.cos(lean), 0.35 * rng.normal(), np.sin(lean)])
-        wave = 2 * np.pi / rng.uniform(0.05, 0.13)
-        phase = rng.uniform(0, 2 * np.pi) + 0.8 * np.sin(
-            average @ rng.normal(0, 14, 3) + rng.uniform(0, 6)
+def _jacket(jacket: Jacket, identity: Identity, beneath: float) -> list[MeshPiece]:
+    outline, fabric = JACKETS[jacket.style], FABRICS[jacket.fabric]
+    rng = np.random.default_rng(jacket.seed)
+    garment = Garment(identity, outline, fabric, rng, under=_UNDER_JACKET + beneath)
+    look = _look(jacket)
+    rib = _look(jacket, weave="rib", pattern="plain")
+    pieces = garment.body(look, rib)
+    plain = _look(jacket, pattern=_quiet(jacket.pattern))
+    if outline.collar == "lapels":
+        pieces.append(_lapels(garment, plain))
+    elif outline.collar:
+        ribbed = jacket.style == "bomber"
+        pieces += collar(garment, identity, rib if ribbed else plain, jacket.seed + 1)
+    if jacket.style in ("trucker", "biker", "bomber"):
+        pieces.append(_edging(garment, plain, jacket.style))
+    return [
+        MeshPiece(
+            f"jacket_{piece.name}",
+            piece.part,
+            piece.faces,
+            piece.material,
+            piece.place,
+            piece.parameters,
+            piece.uv,
+            piece.vertex,
         )
-        ridge = 0.5 + 0.5 * np.sin(wave * (average @ direction) + phase)
-        patch = 0.5 + 0.5 * np.sin(average @ rng.normal(0, 16, 3) + rng.uniform(0, 6))
-        height += ridge**2.5 * patch**2
-    start = np.clip((field - 0.03) / 0.07, 0, 1)
-    return (0.0006 + 0.25 * gap) * start * height
+        for piece in pieces
+    ]
+
+
+def _lapels(garment: Garment, look: dict) -> MeshPiece:
+    """Collar and lapels of a blazer, turned back on the cloth along the opening."""
+    p = garment.average
+    height, field = p[:, 2], garment.outline.field(p)
+    front = p[:, 1] < -0.02
+    # Wide at the notch and tapering to the button; above the notch the collar.
+    lapel = np.interp(height, [0.352, 0.40, 0.448, 0.462], [0.0, 0.030, 0.060, 0.066])
+    notch = smoothstep(0.462, 0.472, height)
+    folded = np.interp(height, [0.47, 0.50, 0.56], [0.043, 0.046, 0.036])
+    width = np.where(front, lapel * (1 - notch) + folded * notch, 0.036)
+    # The notch itself, a bite into the outer edge.
+    bite = np.exp(-(((height - 0.469) / 0.005) ** 2)) * front
+    width = width - 0.016 * bite
+    roll = 0.0035 * np.exp(-field / 0.006) + 0.0010
+    points, weights, places, faces = garment.panel(width - field, 0.0022, roll)
+    patches = Patchwork()
+    patches.add(points, weights, places[:, [0, 2]] + 0.5)
+    return patches.piece("lapels", faces, look)
+
+
+def _edging(garment: Garment, look: dict, style: str) -> MeshPiece:
+    """The stitched front edges of a jacket, or the tape of its zip."""
+    p = garment.average
+    field = garment.outline.field(p)
+    width = 0.014 if style != "trucker" else 0.034
+    strip = np.where((p[:, 1] < -0.03) & (garment.outline.around(p) > 0.004), width - field, -0.05)
+    points, weights, places, faces = garment.panel(strip, garment.fabric.thickness)
+    patches = Patchwork()
+    patches.add(points, weights, places[:, [0, 2]] + 0.5)
+    return patches.piece("edging", faces, look)

@@ -19,12 +19,16 @@ from synthgen.errors import JobError
 
 HEADER_SECONDS = 20.0
 """What a request's head may take to arrive."""
+READER_SECONDS = 30.0
+"""For how long a client may take nothing of an answer that waits for it."""
 
 
 class Patient(H11Protocol):
-    """Closes a connection whose request is not there in `HEADER_SECONDS`, however it trickles."""
+    """Closes a connection whose request is not there in `HEADER_SECONDS`, however it trickles, or
+    whose answer is not read for `READER_SECONDS`."""
 
     _timer: asyncio.TimerHandle | None = None
+    _reader: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         super().connection_made(transport)
@@ -34,8 +38,17 @@ class Patient(H11Protocol):
         super().data_received(data)
         self._watch()
 
+    def pause_writing(self) -> None:
+        super().pause_writing()
+        self._await_reader()
+
+    def resume_writing(self) -> None:
+        self._forget_reader()
+        super().resume_writing()
+
     def connection_lost(self, exc: Exception | None) -> None:
         self._stop()
+        self._forget_reader()
         super().connection_lost(exc)
 
     def _watch(self) -> None:
@@ -48,6 +61,22 @@ class Patient(H11Protocol):
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
+
+    def _await_reader(self) -> None:
+        left = self.transport.get_write_buffer_size()
+
+        def look() -> None:
+            if self.transport.get_write_buffer_size() < left:
+                self._await_reader()
+            else:
+                self.transport.abort()
+
+        self._reader = self.loop.call_later(READER_SECONDS, look)
+
+    def _forget_reader(self) -> None:
+        if self._reader is not None:
+            self._reader.cancel()
+            self._reader = None
 
 
 def serve(

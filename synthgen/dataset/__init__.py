@@ -1,7 +1,7 @@
 """Datasets: their files, the shots in them, and reading them (`open_dataset`)."""
 
 from synthgen.dataset.reading import Dataset, open_dataset
-from synthgen.dataset.records import FORMAT
+from synthgen.dataset.records import FORMAT, FORMATS
 from synthgen.dataset.samples import Samples, decoder
 
-__all__ = ["FORMAT", "Dataset", "Samples", "decoder", "open_dataset"]
+__all__ = ["FORMAT", "FORMATS", "Dataset", "Samples", "decoder", "open_dataset"]

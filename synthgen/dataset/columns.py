@@ -136,8 +136,8 @@ def _fits(value: Any, kind: str) -> bool:
 def _flatten(prefix: str, value: dict[str, Any]) -> dict[str, Any]:
     flat: dict[str, Any] = {}
     for name, item in value.items():
-        # Dictionaries of free keys (shape, asymmetry) become maps, parts of a person columns.
-        if isinstance(item, dict) and name not in ("shape", "asymmetry"):
+        # Dictionaries of free keys become maps, parts of a person columns.
+        if isinstance(item, dict) and name not in ("shape", "asymmetry", "ancestry_mix"):
             flat |= _flatten(f"{prefix}_{name}", item)
         elif item is not None:
             flat[f"{prefix}_{name}"] = item

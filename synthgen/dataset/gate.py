@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from assets_procedural.conventions import colour, first_curve
 from assets_procedural.conventions.camera import LANDMARK_MARGIN
-from assets_procedural.conventions.colour import display, to_bytes
+from assets_procedural.conventions.colour import to_bytes
 from assets_procedural.conventions.parts import Part
 from synthgen.dataset.passes import PASSES
+from synthgen.dataset.records import FORMAT
 from synthgen.dataset.shot import Shot, camera_of
 
 PART_IDS = tuple(Part)
@@ -58,11 +60,12 @@ def quality(shot: Shot) -> dict[str, float]:
     }
 
 
-def _light_levels(shot: Shot) -> int:
+def _light_levels(shot: Shot, format: int) -> int:
     """Largest difference between rgb and D(exposure · hdr) on opaque pixels; 0 without hdr."""
     if shot.hdr is None:
         return 0
     opaque = shot.alpha == 255
+    display = first_curve.display if format == 1 else colour.display
     worst = 0
     for picture, linear, exposure in zip(shot.rgb, shot.hdr, shot.meta["exposures"], strict=True):
         shown = to_bytes(display(exposure * linear[opaque][:, :3].astype(np.float32)))
@@ -92,8 +95,10 @@ def _normal_angle(shot: Shot, mask: np.ndarray) -> float:
     return float(np.degrees(np.arccos(np.clip(np.median(cosine), -1, 1))))
 
 
-def inspect(shot: Shot) -> tuple[list[str], dict[str, float]]:
+def inspect(shot: Shot, format: int = FORMAT) -> tuple[list[str], dict[str, float]]:
     """Check a shot against the dataset contract: problems, one line each, and quality figures.
+
+    `format` is that of its dataset.
 
     A shot without problems may be stored. There are no figures if shapes or values are too wrong
     to compute any.
@@ -123,7 +128,7 @@ def inspect(shot: Shot) -> tuple[list[str], dict[str, float]]:
             f"depth is {f('landmark_depth') * 1e3:.1f} mm off the visible landmarks",
         ),
         (
-            (levels := _light_levels(shot)) <= LIGHT_LEVELS,
+            (levels := _light_levels(shot, format)) <= LIGHT_LEVELS,
             f"a picture is {levels} levels off its linear light",
         ),
         (f("level_min") >= DARK, f"black image: mean level {f('level_min'):.1f}"),

@@ -20,8 +20,10 @@ from synthgen.dataset.folder import NAME, DatasetFolder, Place, StorageError, no
 
 LARGEST_RECORD = 256 << 20
 """Bytes of a record that is read."""
-FORMAT = 1
-"""Of the datasets that are written and read, see docs/dataset.md."""
+FORMAT = 2
+"""Of the datasets that are written, see docs/dataset.md."""
+FORMATS = (1, FORMAT)
+"""Of the datasets that are read."""
 
 
 def storable(text: Any) -> Any:

@@ -36,6 +36,8 @@ class SubsetSpec(Settings):
     """Cameras per subject (multiview)."""
     frames: int | None = Field(default=None, ge=1, le=1000)
     """Poses per subject (video)."""
+    people_of: str | None = None
+    """Another subset whose people these are: subject i is the same person, in the same split."""
 
     @model_validator(mode="after")
     def _count(self) -> SubsetSpec:
@@ -56,7 +58,8 @@ RESERVED = ("manifest", "failed", "runs", "logs", "locks")
 """No subset may be called so: a dataset has folders, and a table, of these names beside those of
 its subsets."""
 
-_HEAD_METRES = 0.25
+HEAD_METRES = 0.25
+"""A typical head, chin to crown."""
 _DISTANCE = (0.3, 30.0)
 _LANDMARK_REACH = 0.5 + LANDMARK_MARGIN
 
@@ -109,7 +112,7 @@ class CameraSettings(Settings):
     @staticmethod
     def _metres(focal_mm: float, fill: float) -> float:
         """Camera to a typical head, as `assets_procedural.conventions.camera.resolve` puts it."""
-        return focal_mm / SENSOR_MM * _HEAD_METRES / fill
+        return focal_mm / SENSOR_MM * HEAD_METRES / fill
 
 
 _HEX = re.compile(r"#[0-9a-fA-F]{6}")
@@ -184,7 +187,25 @@ class JobSpec(Settings):
                 raise ValueError(f'"{name}" is no subset name; use a-z, 0-9 and _')
             if name in RESERVED:
                 raise ValueError(f'"{name}" is no subset name: it has another meaning in a dataset')
+        for name, subset in value.items():
+            _check_people_of(name, subset, value)
         return value
+
+
+def _check_people_of(name: str, subset: SubsetSpec, subsets: dict[str, SubsetSpec]) -> None:
+    source = subset.people_of
+    if source is None:
+        return
+    said = f'{name}.people_of = "{source}"'
+    others = [n for n, s in subsets.items() if n != name and s.people_of is None]
+    if source not in others:
+        choose = f"choose from {', '.join(others)}" if others else "remove it"
+        raise ValueError(f"{said} is no other subset with people of its own; {choose}")
+    if subset.subjects > subsets[source].subjects:
+        raise ValueError(
+            f"{said} has {subsets[source].subjects} subjects, fewer than {subset.subjects}; "
+            f"lower {name}.subjects to that, or raise the other"
+        )
 
 
 def load_job(job: str | Path, overrides: Sequence[str] = ()) -> JobSpec:

@@ -1,7 +1,8 @@
 """Job to subjects to shots to frames, every seed derived from one. Pure: no head model, no Blender.
 
 `Plan` computes any subject on demand. A subject depends on the job's seed, the subset's name and
-its own index alone: never on how many others there are or on the order they are made in.
+its own index alone: never on how many others there are or on the order they are made in. Its person
+and split depend on the subset that `people_of` names instead, if it names one.
 """
 
 from __future__ import annotations
@@ -15,15 +16,17 @@ from typing import Literal
 
 import numpy as np
 
-from assets_procedural.conventions.camera import CameraSample
+from assets_procedural.conventions.camera import CameraSample, resolve
 from assets_procedural.light.pool import pool
-from assets_procedural.motion.poses import Pose, sample_pose, sample_track
+from assets_procedural.motion.poses import Pose, sample_pose
+from assets_procedural.motion.tracks import sample_track
 from assets_procedural.people.person_sampling import sample_person
+from assets_procedural.people.quotas import QuotaError, factors, quota_points
 from assets_procedural.person import Person
 from assets_procedural.settings import Parameters
 from synthgen.errors import JobError
 from synthgen.planning.camera_sampling import sample_camera
-from synthgen.planning.job import JobSpec, SubsetSpec
+from synthgen.planning.job import HEAD_METRES, JobSpec, SubsetSpec
 
 Split = Literal["train", "validation", "test"]
 SPLITS: tuple[Split, ...] = ("train", "validation", "test")
@@ -37,6 +40,7 @@ class Stream(IntEnum):
     POSE = 2
     CAMERA = 3
     ENVIRONMENT = 4
+    QUOTAS = 5
 
 
 class EnvironmentUse(Parameters):
@@ -98,7 +102,8 @@ class ShardPlan:
 class Plan:
     """The subjects of a job; see `plan`.
 
-    Raises `JobError` if a subset wants more environments per subject than there are.
+    Raises `JobError` if a subset wants more environments per subject than there are, or if people
+    cannot reach a quota.
     """
 
     def __init__(self, job: JobSpec, environment_ids: Sequence[str]) -> None:
@@ -113,6 +118,10 @@ class Plan:
                     f"the pool has only {len(self.environment_ids)}; "
                     "lower it, or add to [environments]",
                 )
+        try:
+            factors(job.people)
+        except QuotaError as error:
+            raise JobError(job.name, error.field, error.value, error.remedy) from None
 
     def __len__(self) -> int:
         """Number of subjects."""
@@ -136,12 +145,26 @@ class Plan:
         return _integer(self._sequence(subset, index, Stream.SUBJECT))
 
     def split(self, subset: str, index: int) -> Split:
-        """Where a subject belongs: by a hash of its seed, never by order."""
-        position = zlib.crc32(self.seed(subset, index).to_bytes(8, "little")) / 2**32
+        """Where a subject belongs: by a hash of its person's seed, never by order.
+
+        Nobody is in two splits, in whatever subsets.
+        """
+        seed = self.seed(self.people_of(subset), index)
+        position = zlib.crc32(seed.to_bytes(8, "little")) / 2**32
         splits = self.job.splits
         if position < splits.test:
             return "test"
         return "validation" if position < splits.test + splits.validation else "train"
+
+    def people_of(self, subset: str) -> str:
+        """The subset that a subset has its people from, mostly itself."""
+        return self.job.subsets[subset].people_of or subset
+
+    def person(self, subset: str, index: int) -> Person:
+        """Who the `index`-th subject of a subset is."""
+        source = self.people_of(subset)
+        points = quota_points(self.job.people, index, self._rng(source, 0, Stream.QUOTAS))
+        return sample_person(self._rng(source, index, Stream.PERSON), self.job.people, points)
 
     def subject(self, subset: str, index: int) -> SubjectPlan:
         """The `index`-th subject of a subset, in constant time.
@@ -152,12 +175,13 @@ class Plan:
         if not 0 <= index < spec.subjects:
             raise IndexError(f"{subset} has subjects 0 to {spec.subjects - 1}, not {index}")
         key = subject_key(index)
+        cameras = self._cameras(subset, index, spec)
+        lens = resolve(cameras[0], np.zeros(3), HEAD_METRES, 1).position
         rng = self._rng(subset, index, Stream.POSE)
         if spec.kind == "multiview":
-            poses: tuple[Pose, ...] = (sample_pose(rng, self.job.poses),)
+            poses: tuple[Pose, ...] = (sample_pose(rng, self.job.poses, lens),)
         else:
-            poses = tuple(sample_track(rng, spec.shots, self.job.poses))
-        cameras = self._cameras(subset, index, spec)
+            poses = sample_track(rng, spec.shots, self.job.poses, lens)
         return SubjectPlan(
             subset=subset,
             kind=spec.kind,
@@ -165,7 +189,7 @@ class Plan:
             key=key,
             seed=self.seed(subset, index),
             split=self.split(subset, index),
-            person=sample_person(self._rng(subset, index, Stream.PERSON), self.job.people),
+            person=self.person(subset, index),
             environments=self._environments(subset, index, spec),
             poses=poses,
             cameras=cameras,

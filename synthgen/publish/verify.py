@@ -17,7 +17,7 @@ from assets_procedural.conventions.files import read_regular, sha256
 from synthgen.dataset import columns, database, ledger, manifest
 from synthgen.dataset.codecs import LARGEST, decode_exr
 from synthgen.dataset.folder import DatasetFolder, Place, StorageError
-from synthgen.dataset.records import FORMAT, description_json
+from synthgen.dataset.records import FORMATS, description_json
 from synthgen.planning.plan import SPLITS, Plan, ShardPlan
 from synthgen.publish import checksums, publish
 from synthgen.publish.verify_shard import UNCHECKED, check_shard, unfailing
@@ -36,8 +36,8 @@ def verify(out: Place, workers: int | None = None) -> list[str]:
     info = description_json(folder)
     if not isinstance(info, dict):
         return ["dataset.json: not a JSON object"]
-    if info.get("format") != FORMAT:
-        return [f"dataset.json: format {info.get('format')}, not {FORMAT}"]
+    if info.get("format") not in FORMATS:
+        return [f"dataset.json: format {info.get('format')}, not {' or '.join(map(str, FORMATS))}"]
     try:
         plan = publish.stored_plan(folder)
     except StorageError as error:

@@ -14,7 +14,7 @@ from assets_procedural.conventions.files import open_regular, read_regular, sha2
 from synthgen.dataset import columns, manifest
 from synthgen.dataset.folder import DatasetFolder
 from synthgen.dataset.gate import inspect
-from synthgen.dataset.records import LARGEST_RECORD, ShardRecord
+from synthgen.dataset.records import FORMAT, LARGEST_RECORD, ShardRecord, read_description
 from synthgen.dataset.shards import decode
 from synthgen.dataset.shot import Shot, shown_expression
 from synthgen.planning.plan import ShardPlan, SubjectPlan, subject_key
@@ -111,6 +111,7 @@ def _samples(
         functools.partial(publish.stored_plan(folder).subject, shard.subset)
     )
     fields: list[str] | None = None
+    gate = functools.partial(inspect, format=read_description(folder).format or FORMAT)
     # tarfile, and not our own reader: what others rely on is what is checked.
     try:
         with open_regular(path) as file, tarfile.open(fileobj=file) as archive:
@@ -134,7 +135,7 @@ def _samples(
                     yield f"{key}: {error}"
                     continue
                 check = functools.partial(_against_plan, subject_of, shard) if same_code else None
-                found = _sample(folder, shot, check, row, places)
+                found = _sample(folder, shot, gate, check, row, places)
                 yield from (f"{key}: {problem}" for problem in unfailing("", found))
     except (tarfile.TarError, EOFError, OSError) as error:
         yield f"truncated or damaged tar: {' '.join(str(error).split())[:120]}"
@@ -143,11 +144,12 @@ def _samples(
 def _sample(
     folder: DatasetFolder,
     shot: Shot,
+    gate: Callable[[Shot], tuple[list[str], dict[str, float]]],
     against_plan: Callable[[str, dict[str, Any]], Iterator[str]] | None,
     row: dict[str, Any] | None,
     places: list[dict[str, Any]],
 ) -> Iterator[str]:
-    problems, quality = inspect(shot)
+    problems, quality = gate(shot)
     yield from problems
     if shot.meta.get("key") != shot.key:
         yield f"its meta.json is of {str(shot.meta.get('key'))[:40]}"

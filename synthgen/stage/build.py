@@ -19,16 +19,19 @@ from assets_procedural.conventions.parts import Part
 from assets_procedural.mesh.subdivision import Subdivision, catmull_clark
 from assets_procedural.outfit import tops
 from assets_procedural.person import Person
+from assets_procedural.skin_detail import chart
+from assets_procedural.skin_detail.detail import SkinDetail
 from synthgen.stage import materials, skin_material
 from synthgen.stage.hair_colour import strand_colours
 
 
 @dataclass(frozen=True)
 class Figure:
-    """A person on the stage: the skin, its subdivision, the pieces with their objects."""
+    """A person on the stage: skin, its subdivision and detail, the pieces with their objects."""
 
     subdivision: Subdivision
     skin: bpy.types.Object
+    detail: SkinDetail
     pieces: list[tuple[Piece, bpy.types.Object]]
 
 
@@ -54,14 +57,18 @@ def strands_for_pixel(pieces: list[Piece], pixel: float) -> list[Piece]:
 def build_figure(person: Person, identity: Identity, pieces: list[Piece]) -> Figure:
     """Create all objects, in the neutral pose; `pose_figure` moves them."""
     neutral = identity.neutral
+    detail = SkinDetail(person, identity.model)
+    skin_material.show_detail(detail.picture(neutral.pose.expression))
     subdivision, skin = _build_skin(person, identity)
-    figure = Figure(subdivision, skin, [(piece, _build_piece(piece, neutral)) for piece in pieces])
+    objects = [(piece, _build_piece(piece, neutral)) for piece in pieces]
+    figure = Figure(subdivision, skin, detail, objects)
     pose_figure(figure, neutral)
     return figure
 
 
 def pose_figure(figure: Figure, bust: Bust) -> None:
-    """Move every object to the bust's pose and write its canonical coordinates."""
+    """Move every object to the bust's pose, write its canonical coordinates, crease the skin."""
+    skin_material.show_detail(figure.detail.picture(bust.pose.expression))
     surface = figure.subdivision.matrix
     _move(figure.skin.data, surface @ bust.vertices, surface @ bust.canonical.vertices)
     for piece, object_ in figure.pieces:
@@ -76,9 +83,11 @@ def _build_skin(person: Person, identity: Identity) -> tuple[Subdivision, bpy.ty
     fields = skin_fields(person, model)
     vertex = {
         name: subdivision.matrix @ getattr(fields, name)
-        for name in ("colour", "roughness", "lips", "freckles", "wrinkles", "pores", "stubble")
+        for name in ("colour", "roughness", "sebum", "lips", "pores", "stubble")
     }
     vertex["rest"] = subdivision.matrix @ model.template
+    around = chart.project(vertex["rest"])
+    vertex["chart"] = np.concatenate([around, np.zeros((len(around), 1))], axis=1)
     part = np.repeat(regions.part_labels(model)[shown], 4)
     uv = subdivision.corner_values(model.uv["skin"][shown])
     mesh = _mesh("skin", subdivision.matrix @ identity.rest, subdivision.faces, uv, vertex, part)

@@ -11,6 +11,7 @@ from __future__ import annotations
 from typing import Any
 
 import bpy
+import numpy as np
 
 from synthgen.stage import cloth_materials, eye_materials
 from synthgen.stage.nodes import Graph, Socket
@@ -46,9 +47,14 @@ def surface(kind: str, parameters: dict[str, Any], part: Socket) -> bpy.types.Ma
 
 
 def _plastic(graph: Graph, parameters: dict[str, Any]) -> tuple[Any, Any]:
-    colour = colour_of(parameters, (0.03, 0.03, 0.03))
-    shader = graph.node("BsdfPrincipled", {"Base Color": colour, "Roughness": 0.25, "IOR": 1.5})
-    return shader.outputs[0], colour
+    colour: Socket = colour_of(parameters, (0.03, 0.03, 0.03))
+    if parameters.get("tortoise"):
+        # Acetate with dark clouds in amber.
+        place = graph.attribute("canonical").outputs["Vector"]
+        clouds = graph.stretch(graph.noise(place, 130, detail=2), 0.42, 0.60, (0, 1))
+        colour = graph.mix(clouds, (0.30, 0.11, 0.025), (0.018, 0.008, 0.004))
+    inputs = {"Base Color": colour, "Roughness": parameters.get("roughness", 0.25), "IOR": 1.5}
+    return graph.node("BsdfPrincipled", inputs).outputs[0], colour
 
 
 def _metal(graph: Graph, parameters: dict[str, Any]) -> tuple[Any, Any]:
@@ -57,16 +63,34 @@ def _metal(graph: Graph, parameters: dict[str, Any]) -> tuple[Any, Any]:
     return graph.node("BsdfPrincipled", inputs).outputs[0], colour
 
 
+def _shade(graph: Graph, parameters: dict[str, Any]) -> tuple[Any, Any]:
+    """A sunglass lens: absorbs less towards its lower edge, and may be coated with a mirror."""
+    height = graph.node("SeparateXYZ", {0: graph.attribute("UVMap").outputs["Vector"]}).outputs["Y"]
+    dark, light = 1.0 - parameters["tint"], 1.0 - parameters["tint"] * (1 - parameters["gradient"])
+    hue = np.array(parameters["lens"], float) / max(max(parameters["lens"]), 1e-6)
+    amount = graph.stretch(height, 0.15, 0.85, (0.0, 1.0))
+    upper, lower = (tuple(float(c) for c in share * hue) for share in (dark, light))
+    through = graph.mix(amount, lower, upper)
+    clear = graph.node("BsdfTransparent", {"Color": through}).outputs[0]
+    coat = tuple(float(c) for c in 0.4 + 0.6 * hue) if parameters["mirror"] else (1.0, 1.0, 1.0)
+    gloss = graph.node("BsdfGlossy", {"Color": coat, "Roughness": 0.03}).outputs[0]
+    fresnel = graph.node("Fresnel", {"IOR": parameters.get("ior", 1.5)}).outputs[0]
+    thrown = graph.math("MAXIMUM", fresnel, parameters["mirror"])
+    shader = graph.node("MixShader", {0: thrown, 1: clear, 2: gloss}).outputs[0]
+    return shader, through
+
+
 _SURFACES = {
     "eye": eye_materials.eye,
     "cornea": eye_materials.clear,
     "tear": eye_materials.clear,
     "lens": eye_materials.clear,
+    "lid_shade": eye_materials.lid_shade,
     "teeth": eye_materials.enamel,
     "gums": eye_materials.mucosa,
     "tongue": eye_materials.mucosa,
     "cloth": cloth_materials.cloth,
-    "knit": cloth_materials.knit,
     "plastic": _plastic,
+    "shade": _shade,
     "metal": _metal,
 }

@@ -5,7 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from assets_procedural.conventions.camera import SENSOR_MM, Camera
-from assets_procedural.conventions.colour import LUMINANCE, display, to_bytes, undisplay
+from assets_procedural.conventions.colour import (
+    LUMINANCE,
+    display,
+    srgb_decode,
+    srgb_encode,
+    to_bytes,
+)
 from assets_procedural.conventions.parts import Part
 from assets_procedural.light.backdrop import backdrop, blur_radius
 
@@ -61,14 +67,18 @@ def develop(
     """The display-referred picture: (H, W, 3) uint8, or (H, W, 4) without a `background`.
 
     `linear` (H, W, 3) premultiplied; `alpha` (H, W) in [0, 1]; `background` is linear radiance
-    (H, W, 3) under the same exposure, or one display-referred colour in [0, 1]. A transparent
+    (H, W, 3) under the same exposure, or one display-referred colour in [0, 1], over which the
+    picture is laid. A transparent
     picture has straight alpha: its colour is the foreground's own.
     """
     light = exposure * linear
     coverage = alpha[..., None]
+    straight = light / np.maximum(coverage, 1e-3) * (coverage > 0)
     if background is None:
-        straight = light / np.maximum(coverage, 1e-3) * (coverage > 0)
         return to_bytes(np.concatenate([display(straight), coverage], axis=-1))
     if isinstance(background, tuple):
-        return to_bytes(display(light + (1 - coverage) * undisplay(np.array(background))))
+        # As anyone lays a cut-out over a page: a page is no lamp that shines through hair.
+        subject = coverage * srgb_decode(display(straight))
+        page = (1 - coverage) * srgb_decode(np.array(background))
+        return to_bytes(srgb_encode(subject + page))
     return to_bytes(display(light + (1 - coverage) * exposure * background))

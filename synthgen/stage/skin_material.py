@@ -5,83 +5,83 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
+from assets_procedural.body.skin import HAEMOGLOBIN, MELANIN
 from assets_procedural.person import Skin
+from synthgen.stage.nodes import Socket
 from synthgen.stage.shading import new_material, write_labels
 
-# Jensen-style mean free paths of skin, relative to the red channel, and the red one's length.
+DETAIL = "skin detail"
+"""Name of the image over the face, see `assets_procedural.skin_detail`."""
+
+# Jensen-style mean free paths of skin, relative to the red channel; the red one's length in
+# metres in the palest skin, and the share of it that the darkest loses to its melanin.
 _SSS_RADIUS = (1.0, 0.36, 0.20)
-_SSS_SCALE = 0.0030
+_SSS_SCALE = 0.0019
+_SSS_VEILED = 0.4
 
 
 def skin(parameters: Skin) -> bpy.types.Material:
-    """Random-walk skin; reads the vertex attributes of `assets_procedural.body.skin.SkinFields`."""
+    """Random-walk skin; reads the vertex attributes of `assets_procedural.body.skin.SkinFields`.
+
+    Structure is strongest at 2 to 10 mm, which a portrait's pixels resolve; all noise is in the
+    template's space, so that it sticks to the skin.
+    """
     material, graph = new_material("skin")
-    rest = graph.attribute("rest").outputs["Vector"]
     rng = np.random.default_rng(parameters.seed)
     offset = tuple(float(v) for v in rng.uniform(-5, 5, 3))
-    place = graph.combine("ADD", rest, offset)
+    place = graph.combine("ADD", graph.attribute("rest").outputs["Vector"], offset)
+    detail = graph.node(
+        "TexImage", {"Vector": graph.attribute("chart").outputs["Vector"]},
+        image=bpy.data.images[DETAIL], interpolation="Cubic", extension="CLIP",
+    )  # fmt: skip
+    pores = graph.scalar("pores")
 
+    def tinted(colour: Socket, value: Socket, low: float, high: float, *tones: Socket) -> Socket:
+        """Multiply by a tone that goes from the first to the second as `value` rises."""
+        tone = graph.mix(graph.stretch(value, low, high, (0, 1)), *tones)
+        return graph.mix(1.0, colour, tone, "MULTIPLY")
+
+    # Blood in patches of centimetres, pigment at 5 to 15 mm, dark mouths of pores. Dark skin hides
+    # its blood and is the more uneven in pigment.
     colour = graph.attribute("colour").outputs["Color"]
-    blotches = graph.noise(place, 55, detail=3, rough=0.6)
-    redder = graph.mix(
-        graph.stretch(blotches, 0.35, 0.7, (0, 1)), (0.99, 1.02, 1.02), (1.03, 0.95, 0.945)
-    )
-    colour = graph.mix(1.0, colour, redder, "MULTIPLY")
-    mottling = graph.noise(place, 420, detail=2, rough=0.7)
-    paler = graph.mix(
-        graph.stretch(mottling, 0.3, 0.7, (0, 1)), (0.95, 0.94, 0.93), (1.05, 1.05, 1.05)
-    )
-    colour = graph.mix(1.0, colour, paler, "MULTIPLY")
+    flush = graph.noise(place, 48, detail=4, rough=0.68)
+    blood = (1 - 0.5 * parameters.melanin) * HAEMOGLOBIN
+    colour = tinted(colour, flush, 0.35, 0.66, _tone(0.30 * blood), _tone(-0.42 * blood))
+    tan = graph.noise(graph.combine("ADD", place, (3.1, 1.7, 0.4)), 118, detail=5, rough=0.8)
+    pigment = (0.055 + 0.04 * parameters.melanin) * MELANIN
+    colour = tinted(colour, tan, 0.35, 0.65, _tone(-pigment), _tone(0.6 * pigment))
+    specks = graph.noise(place, 620, detail=1)
+    amount = graph.math("MULTIPLY", graph.stretch(specks, 0.58, 0.72, (0, 0.6)), pores)
+    colour = graph.mix(amount, colour, graph.mix(1.0, colour, (0.82, 0.74, 0.70), "MULTIPLY"))
 
-    if parameters.freckles > 0.05:
-        cells = graph.node("TexVoronoi", {"Vector": place, "Scale": 380.0, "Randomness": 1.0})
-        size = graph.math(
-            "MULTIPLY",
-            graph.node("SeparateColor", {"Color": cells.outputs["Color"]}).outputs["Red"],
-            0.42,
-        )
-        spot = graph.math("LESS_THAN", cells.outputs["Distance"], size)
-        cluster = graph.stretch(graph.noise(place, 90, detail=2), 0.42, 0.62, (0.1, 1))
-        strength = graph.math("MULTIPLY", graph.scalar("freckles"), cluster)
-        amount = graph.math("MULTIPLY", graph.math("MULTIPLY", spot, strength), 0.55, clamp=True)
-        colour = graph.mix(amount, colour, graph.mix(1.0, colour, (0.62, 0.42, 0.30), "MULTIPLY"))
-    if parameters.blemishes > 0.1:
-        patches = graph.stretch(graph.noise(place, 160, detail=1), 0.70, 0.78, (0, 1))
-        amount = graph.math("MULTIPLY", patches, 0.6 * parameters.blemishes)
-        colour = graph.mix(amount, colour, graph.mix(1.0, colour, (1.0, 0.66, 0.62), "MULTIPLY"))
-    for centre, radius in moles(parameters):
-        away = graph.node("VectorMath", {0: rest, 1: centre}, operation="DISTANCE").outputs["Value"]
-        amount = graph.stretch(away, 0.6 * radius, 1.1 * radius, (0.8, 0))
-        colour = graph.mix(amount, colour, graph.mix(1.0, colour, (0.28, 0.18, 0.14), "MULTIPLY"))
-    dots = graph.stretch(graph.noise(place, 1400, detail=0), 0.58, 0.68, (0, 0.55))
+    dots = graph.stretch(graph.noise(place, 1100, detail=1), 0.50, 0.66, (0, 0.5))
     amount = graph.math("MULTIPLY", dots, graph.scalar("stubble"))
-    colour = graph.mix(amount, colour, graph.mix(1.0, colour, (0.35, 0.35, 0.37), "MULTIPLY"))
+    colour = graph.mix(amount, colour, graph.mix(1.0, colour, (0.35, 0.36, 0.39), "MULTIPLY"))
+    kept = graph.combine("SUBTRACT", (1.0, 1.0, 1.0), detail.outputs["Color"])
+    colour = graph.mix(1.0, colour, kept, "MULTIPLY")
 
     # One bump node with summed heights: chained ones are slow.
-    pores = graph.math(
-        "MULTIPLY", graph.noise(place, 1300, detail=2, rough=0.6), graph.scalar("pores")
-    )
-    pores = graph.math("MULTIPLY", pores, 0.00013)
-    soft = graph.math("MULTIPLY", graph.noise(place, 240, detail=2), 0.00022)
-    across = graph.combine("MULTIPLY", place, (0.16, 0.16, 1.0))
-    lines = graph.noise(across, 185, detail=2, rough=0.55)
-    lines = graph.math(
-        "MULTIPLY", graph.stretch(lines, 0.36, 0.60, (0, 1)), graph.scalar("wrinkles")
-    )
-    lines = graph.math("MULTIPLY", lines, 0.0008)
+    relief = graph.noise(place, 330, detail=4, rough=0.72)
+    relief = graph.math("MULTIPLY", relief, graph.math("MULTIPLY", pores, 0.0008))
+    # The net of furrows between pores, finer across the face than along it.
+    net = graph.noise(graph.combine("MULTIPLY", place, (0.6, 0.6, 1.0)), 640, detail=2)
+    net = graph.math("MULTIPLY", graph.math("ABSOLUTE", graph.math("SUBTRACT", net, 0.5)), 0.00055)
     along = graph.combine("MULTIPLY", place, (1.0, 0.3, 0.12))
-    furrows = graph.math("MULTIPLY", graph.noise(along, 620, detail=1), graph.scalar("lips"))
-    furrows = graph.math("MULTIPLY", furrows, 0.00045)
-    height = graph.math("ADD", graph.math("ADD", pores, soft), graph.math("ADD", lines, furrows))
+    furrows = graph.math("MULTIPLY", graph.noise(along, 620, detail=2), graph.scalar("lips"))
+    furrows = graph.math("MULTIPLY", furrows, 0.00055)
+    height = graph.math("ADD", graph.math("ADD", relief, net), furrows)
+    height = graph.math("ADD", height, detail.outputs["Alpha"])
     bump = graph.node("Bump", {"Height": height, "Strength": 1.0, "Distance": 1.0})
 
-    oil = graph.stretch(graph.noise(place, 70, detail=2), 0.3, 0.7, (-0.06, 0.06))
-    roughness = graph.math("ADD", graph.scalar("roughness"), oil, clamp=True)
+    # Highlights break: gloss follows the relief, and sebum lies over it in a tight second lobe.
+    patchy = graph.stretch(graph.noise(place, 260, detail=3, rough=0.7), 0.3, 0.7, (-0.12, 0.12))
+    roughness = graph.math("ADD", graph.scalar("roughness"), patchy, clamp=True)
+    sebum = graph.math("MULTIPLY", graph.scalar("sebum"), graph.stretch(tan, 0.3, 0.7, (1.25, 0.6)))
     surface = graph.node("BsdfPrincipled", {
         "Base Color": colour, "Roughness": roughness, "IOR": 1.42, "Normal": bump.outputs[0],
-        "Subsurface Weight": 1.0, "Subsurface Scale": _SSS_SCALE,
-        "Subsurface Anisotropy": 0.0, "Specular IOR Level": 0.5,
-        "Coat Weight": 0.04 + 0.1 * parameters.oiliness, "Coat Roughness": 0.28,
+        "Subsurface Weight": 1.0, "Subsurface Anisotropy": 0.0, "Specular IOR Level": 0.5,
+        "Subsurface Scale": _SSS_SCALE * (1 - _SSS_VEILED * parameters.melanin),
+        "Coat Weight": sebum, "Coat Roughness": 0.27, "Coat Normal": bump.outputs[0],
     }, subsurface_method="RANDOM_WALK")  # fmt: skip
     surface.inputs["Subsurface Radius"].default_value = _SSS_RADIUS
     graph.output(surface.outputs[0])
@@ -89,12 +89,18 @@ def skin(parameters: Skin) -> bpy.types.Material:
     return material
 
 
-def moles(parameters: Skin) -> list[tuple[tuple[float, float, float], float]]:
-    """Centres (template space) and radii in metres of the moles on the face and neck."""
-    rng = np.random.default_rng([parameters.seed, 1])
-    spots = []
-    for _ in range(parameters.moles):
-        x, z = rng.uniform(-0.06, 0.06), rng.uniform(0.63, 0.79)
-        y = -0.165 + 0.9 * x**2 / 0.12 + rng.uniform(0, 0.01)
-        spots.append(((float(x), float(y), float(z)), float(rng.uniform(0.0015, 0.0045))))
-    return spots
+def _tone(log_gain: np.ndarray) -> tuple[float, float, float]:
+    red, green, blue = (float(c) for c in np.exp(log_gain))
+    return red, green, blue
+
+
+def show_detail(picture: np.ndarray) -> None:
+    """Make `picture` (H, W, 4), see `assets_procedural.skin_detail`, what the skin shows."""
+    height, width = picture.shape[:2]
+    image = bpy.data.images.get(DETAIL)
+    if image is None:
+        image = bpy.data.images.new(DETAIL, width, height, alpha=True, float_buffer=True)
+        image.colorspace_settings.name = "Non-Color"
+        image.alpha_mode = "CHANNEL_PACKED"
+    image.pixels.foreach_set(np.ascontiguousarray(picture[::-1], np.float32).ravel())
+    image.update()

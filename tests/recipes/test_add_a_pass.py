@@ -164,7 +164,7 @@ def printed(workshop: Path, command: list[str]) -> str:
 
 def test_the_entry_alone_brings_a_pass_everywhere(workshop: Path):
     found = run(workshop, "everywhere", SCRIPT)
-    assert found["complete"] and found["format"] == 2
+    assert found["complete"] and found["format"] == 3
     assert (found["shape"], found["type"]) == ([48, 48, 3], "float32")
     assert found["on the surface"] and found["read alone"] == ["position"]
     sound, spoilt, short = found["gate"]

@@ -129,6 +129,21 @@ def test_plan_counts_quickly(synthgen: Synthgen) -> None:
     assert "60,000" in shown
 
 
+def test_plan_counts_the_people_as_asked_and_as_drawn(synthgen: Synthgen, tmp_path: Path) -> None:
+    asked = ("--population", "--people", "100", "--set", "people.quotas.sex={male=0.3}")
+    shown = synthgen("plan", "demo", *asked, "--plot", tmp_path / "people.png")
+    assert "100 people of multiview" in shown.stdout
+    assert re.search(r"sex +male +30\.0 % +(29|30|31)\.0 % +█", shown.stdout)
+    assert "south_asian" in shown.stdout and "hair_colour" in shown.stdout
+    with Image.open(tmp_path / "people.png") as picture:
+        assert picture.width > 800
+    counted = json.loads(synthgen("plan", "demo", *asked, "--json").stdout)
+    assert counted["people"] == 100
+    for name, marginal in counted["marginals"].items():
+        assert sum(marginal["drawn"].values()) == pytest.approx(1), name
+    assert counted["marginals"]["sex"]["asked"] == {"male": 0.3}
+
+
 def test_a_plan_answers_before_anything_was_measured(synthgen: Synthgen) -> None:
     shown = synthgen("plan", "paper", "--within", "7d", "--threads", "2").stdout
     assert "Hours are reference figures" in shown
@@ -475,6 +490,16 @@ def test_what_is_no_query_is_one_line(
     failure: Callable[..., str], small_dataset: Path, sql: str
 ) -> None:
     assert failure("query", small_dataset, sql).startswith("error: query: ")
+
+
+@pytest.mark.parametrize("value", ["repeat('x', 4000000000)", "len(range(2000000000))"])
+def test_a_query_that_takes_too_much_memory_is_one_line(
+    failure: Callable[..., str], small_dataset: Path, value: str
+) -> None:
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    said = failure("query", small_dataset, f"SELECT {value} FROM manifest LIMIT 1")
+    assert "memory" in said.lower()
+    assert resource.getrlimit(resource.RLIMIT_AS) == before
 
 
 def test_pictures_go_where_they_can_be_written(

@@ -91,7 +91,7 @@ def refused(totalediting: Run, trained: Path) -> Callable[..., str]:
 def test_another_format_is_refused(
     refused: Callable[..., str], trained: Path, unread: Path, tmp_path: Path
 ) -> None:
-    said = f"error: {unread}: a dataset of format 7, this version reads 1; render it again or"
+    said = f"error: {unread}: a dataset of format 7, this version reads 1 and 2; render it again or"
     for stage in STAGES:
         assert refused("train", stage, unread, "--out", trained, *STEP).startswith(said)
     assert refused("evaluate", trained, unread).startswith(said)

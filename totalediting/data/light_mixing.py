@@ -36,7 +36,8 @@ class Light(NamedTuple):
         if self.is_one():
             return pictures[0]
         parts = zip(pictures, self.factors, strict=True)
-        return display(torch.stack([undisplay(p) * f[:, None, None] for p, f in parts]).sum(0))
+        light = torch.stack([undisplay(p, 0) * f[:, None, None] for p, f in parts]).sum(0)
+        return display(light, 0)
 
     def lightmaps(self, maps: Sequence[Tensor]) -> Tensor:
         """Its exposed lightmaps (5, 3, h, 2h) from those of `environments`."""

@@ -173,7 +173,8 @@ class PortraitPairs(EndlessDataset[PortraitPair]):
         )
 
     def _picture(self, light: Light, stored: dict[str, Any]) -> Tensor:
-        return light.picture([shots.picture(stored[name], self.side) for name in light.members()])
+        side, format = self.side, self.shots.format
+        return light.picture([shots.picture(stored[m], side, format) for m in light.members()])
 
     def _pair(
         self, item: int, light: Light, another: int, other: int, source: _Source
@@ -192,7 +193,7 @@ class PortraitPairs(EndlessDataset[PortraitPair]):
         relit = None
         if self.relit:
             relit = Relit(
-                shots.picture(stored[rgb_relit], side),
+                shots.picture(stored[rgb_relit], side, self.shots.format),
                 self.shots.lightmaps(meta, another, self.rows),
             )
         return PortraitPair(

@@ -112,7 +112,7 @@ class Portraits(EndlessDataset[Portrait]):
         stored = self.shots.read(item, name, "meta")
         frame = torch.tensor(stored["meta"]["camera"]["camera_to_world"])[:3, :3]
         maps = self.shots.lightmaps(stored["meta"], environment, self.rows, frame)
-        return shots.picture(stored[name], self.side), maps
+        return shots.picture(stored[name], self.side, self.shots.format), maps
 
     def _labels(self, item: int) -> tuple[Tensor, ...]:
         """Normals, alpha, parts and the fields of the truth, which all light shares."""

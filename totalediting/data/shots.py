@@ -19,15 +19,15 @@ import torch
 from scipy import sparse
 from torch import Tensor
 
-from assets_procedural.conventions.colour import srgb_decode
+from assets_procedural.conventions import first_curve
+from assets_procedural.conventions.colour import display, srgb_decode, undisplay
 from assets_procedural.motion.poses import ARKIT_NAMES
-from synthgen.dataset import FORMAT, open_dataset
+from synthgen.dataset import FORMAT, FORMATS, open_dataset
 from totalediting.errors import InputError
 from totalediting.geometry.field import Control
 from totalediting.geometry.tracking import EXPRESSIONS, FILL, FOCAL_MM, Tracking
 from totalediting.geometry.volume import resize_intrinsics
 from totalediting.light.environments import environment_lightmaps
-from totalediting.light.phong import display, undisplay
 from totalediting.pretrained import sface
 
 SPLITS = ("train", "validation", "test")
@@ -46,11 +46,13 @@ class Shots:
         except RuntimeError as error:  # synthgen's StorageError, which has one line for the user
             raise InputError(str(error)) from None
         description = self.dataset.description
-        if description.format != FORMAT:
+        if description.format not in FORMATS:
             raise InputError(
                 f"{self.folder}: a dataset of format {description.format}, this version reads "
-                f"{FORMAT}; render it again or use the version that wrote it"
+                f"{' and '.join(map(str, FORMATS))}; render it again or use the version that "
+                "wrote it"
             )
+        self.format = int(description.format)
         if not len(self.dataset):
             raise InputError(
                 f"{self.folder}: no shot in the split {split}"
@@ -146,14 +148,17 @@ def control(geometry: dict[str, np.ndarray], origin: np.ndarray) -> Control:
     )
 
 
-def picture(stored: np.ndarray, side: int) -> Tensor:
-    """(H, W, 3 | 4) uint8 to (3, side, side) in [0, 1]; a transparent picture is put on black."""
+def picture(stored: np.ndarray, side: int, format: int = FORMAT) -> Tensor:
+    """(H, W, 3 | 4) uint8 to (3, side, side) in [0, 1]; a transparent picture is put on black.
+
+    Pictures of format 1, which had another curve, are shown with the present one.
+    """
     if stored.ndim != 3 or stored.shape[2] not in (3, 4):
         raise ValueError(f"a picture must be (H, W, 3 or 4), got {stored.shape}")
     shown = stored.astype(np.float32) / 255.0
-    if stored.shape[2] == 4:
-        light = undisplay(torch.from_numpy(shown[..., :3])) * torch.from_numpy(shown[..., 3:])
-        shown = display(light).numpy()
+    if stored.shape[2] == 4 or format == 1:
+        linear = first_curve.undisplay if format == 1 else undisplay
+        shown = display(linear(shown[..., :3]) * (shown[..., 3:] if stored.shape[2] == 4 else 1))
     return _to_tensor(area(shown, side)).clamp_(0.0, 1.0)
 
 

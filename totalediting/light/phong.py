@@ -6,15 +6,26 @@ Colours are linear Rec.709, (..., 3) with the channels last. Normals n, viewing 
 the surface to the viewer) and reflected directions r share the frame of the lightmaps that they are
 looked up in. Everything is differentiable, float32 or float64, and batched over leading axes.
 
-`display` is the dataset's transform D of `conventions.colour`, differentiable: straight up to
-`KNEE`, a logarithmic shoulder that reaches 1 at `CLIP`, then the sRGB transfer function.
+`display` is the dataset's transform D of `conventions.colour`, differentiable. It works on whole
+pixels: the axis of the channels is the last one, or `dim`.
 """
 
 from __future__ import annotations
 
 import torch
 
-from assets_procedural.conventions.colour import CLIP, KNEE, RATE
+from assets_procedural.conventions.colour import (
+    BLACK,
+    CLIP,
+    DARKEST,
+    DARKEST_TONE,
+    DEPTH,
+    PALING,
+    PIVOT,
+    RANGE,
+    SHOULDER,
+    TOE,
+)
 from totalediting.light.lightmaps import SHININESS, sample
 
 
@@ -99,26 +110,37 @@ def shade(
     return compose(albedo, k_d, s_d, k_s, s_s.unflatten(-1, (len(SHININESS), 3)))
 
 
-def display(linear: torch.Tensor) -> torch.Tensor:
-    """D: linear light (any shape) to display-referred values in [0, 1].
+def display(linear: torch.Tensor, dim: int = -1) -> torch.Tensor:
+    """D: linear light to display-referred values in [0, 1]; axis `dim` has the three channels.
 
-    Light below 0 gives 0, above `CLIP` 1, both without gradient; NaN stays NaN.
+    Light below 0 gives 0 without gradient, NaN a pixel of NaN; above `CLIP` only colour counts.
     """
-    x = linear.clamp(0.0, CLIP)
-    # Both branches are evaluated everywhere; the bounds keep them and their gradients finite.
-    bent = KNEE + torch.log1p(RATE * (x.clamp_min(KNEE) - KNEE)) / RATE
-    bent = torch.where(x <= KNEE, x, bent)
+    x = linear.clamp_min(0.0)
+    x = x / (x.amax(dim, keepdim=True) / CLIP).clamp_min(1.0)
+    # The bound keeps the gain and its gradient finite.
+    brightest = x.amax(dim, keepdim=True).clamp_min(DARKEST)
+    ratio = ((brightest + TOE) / PIVOT) ** SHOULDER
+    tone = ((ratio / (1.0 + ratio)) ** DEPTH - BLACK) / RANGE
+    colour = 1.0 - PALING * tone**6
+    bent = tone * (1.0 - colour) + colour * (tone / brightest) * x
     power = 1.055 * bent.clamp_min(0.0031308) ** (1.0 / 2.4) - 0.055
     return torch.where(bent <= 0.0031308, 12.92 * bent, power).clamp_max(1.0)
 
 
-def undisplay(shown: torch.Tensor) -> torch.Tensor:
-    """The inverse of `display`: values in [0, 1] to linear light in [0, CLIP]; others clamp."""
+def undisplay(shown: torch.Tensor, dim: int = -1) -> torch.Tensor:
+    """The inverse of `display`: values in [0, 1] to linear light in [0, CLIP]; others clamp.
+
+    Colours that D never shows, brilliant and bright at once, give the nearest that has no negative
+    channel.
+    """
     y = shown.clamp(0.0, 1.0)
     power = ((y + 0.055) / 1.055) ** 2.4
     bent = torch.where(y <= 0.04045, y / 12.92, power)
-    straight = KNEE + torch.expm1(RATE * (bent - KNEE)) / RATE
-    return torch.where(bent <= KNEE, bent, straight).clamp_max(CLIP)
+    tone = bent.amax(dim, keepdim=True).clamp_min(DARKEST_TONE)
+    share = (tone * RANGE + BLACK) ** (1.0 / DEPTH)
+    brightest = PIVOT * (share / (1.0 - share)) ** (1.0 / SHOULDER) - TOE
+    colour = 1.0 - PALING * tone**6
+    return (brightest / tone * (bent - tone * (1.0 - colour)) / colour).clamp(0.0, CLIP)
 
 
 def _check(arguments: dict[str, tuple[torch.Tensor, tuple[int, ...]]]) -> None:

@@ -2,8 +2,8 @@
 
 Both show linear light times one exposure through the dataset's display transform. The exposure is
 metered as with an incident light meter: of a white matte surface that faces the brightest light the
-strongest channel is shown at `KNEE`, where the transform leaves the straight line. So the
-diffuse map is never compressed, lights themselves are, and all parts of a picture compare.
+strongest channel is shown at `WHITE`. So the diffuse map is little compressed, lights themselves
+are, and all parts of a picture compare.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ import numpy as np
 import torch
 from PIL import Image, ImageDraw, ImageFont
 
-from assets_procedural.conventions.colour import KNEE
 from assets_procedural.conventions.files import replacing
 from assets_procedural.light.backdrop import backdrop
 from totalediting.light import phong
@@ -24,6 +23,8 @@ from totalediting.light.lightmaps import LOBES, sample, texel_directions
 
 PAPER, INK, FAINT = (18, 18, 20), (236, 236, 238), (138, 138, 146)
 EDGE, GAP, LABEL, TILE = 28, 12, 22, 360
+WHITE = 0.8
+"""Linear light of a white surface in the brightest light."""
 BALL_SIZE, BALL_SHARE = 512, 0.7
 """Pixels of the ball's picture, and the share of them that the ball spans."""
 
@@ -34,7 +35,7 @@ def exposure_of(lightmaps: torch.Tensor) -> float:
     1 where nothing shines.
     """
     brightest = float(lightmaps[0].max())
-    return KNEE / brightest if brightest > 0.0 else 1.0
+    return WHITE / brightest if brightest > 0.0 else 1.0
 
 
 def draw_lightmaps(

@@ -188,7 +188,7 @@ class _LobeBlock(nn.Module):
 
 def _light_shown(image: Tensor) -> Tensor:
     """(B, K, 6) two logarithms of the mean linear light of the patches of pictures."""
-    light = to_tokens(functional.avg_pool2d(phong.undisplay(image.float()), _PATCH))
+    light = to_tokens(functional.avg_pool2d(phong.undisplay(image.float(), 1), _PATCH))
     return torch.cat([light.log1p(), (light + _DARK).log()], -1)
 
 

@@ -89,7 +89,7 @@ def _light_picture(batch: Portrait, maps: Tensor, normal: Tensor) -> Tensor:
         side = batch.image.shape[-1]
         cells = [batch.image[k]]
         for light in (batch.lightmaps[k, 3], maps[k, 3]):
-            shown = phong.display(0.5 * light)
+            shown = phong.display(0.5 * light, 0)
             cells.append(functional.interpolate(shown[None], (side, 2 * side))[0])
         for n in (batch.normal[k], functional.interpolate(normal[k][None], (side, side))[0]):
             cells.append((0.5 * n + 0.5) * batch.alpha[k])

@@ -206,10 +206,10 @@ def decomposition(edit: Edit, camera_to_world: Tensor) -> dict[str, Tensor]:
     distance = camera_to_world[:, :3, 3].norm(dim=-1)[:, None, None, None]
     near = (0.5 - (r.depth - distance) / 0.5).clamp(0, 1) * r.opacity
     return {
-        "albedo": phong.display(r.albedo),
+        "albedo": phong.display(r.albedo, 1),
         "normal": 0.5 * r.normal + 0.5 * r.opacity,
-        "diffuse": phong.display(r.diffuse),
-        "specular": phong.display(r.specular),
+        "diffuse": phong.display(r.diffuse, 1),
+        "specular": phong.display(r.specular, 1),
         "residual": (0.5 + r.residual).clamp(0, 1),
         "depth": near.expand(-1, 3, -1, -1),
     }

@@ -116,7 +116,7 @@ def of_different_people(pairs: PortraitPairs, count: int) -> list[PortraitPair]:
 
 def _light(maps: Tensor) -> Tensor:
     """The n = 32 map of lightmaps, at half its brightness."""
-    return phong.display(0.5 * maps[:, _SPECULAR])
+    return phong.display(0.5 * maps[:, _SPECULAR], 1)
 
 
 def _page(columns: dict[str, Tensor], title: str, target: Path) -> Path:

@@ -9,11 +9,11 @@ export class LightPanel {
   /**
    * @param shot the server's description of a shot
    * @param pictures `pictures(e)` is the address of the rendered picture under environment e
-   * @param catalogue the dataset's environments, [{id}]
+   * @param dataset the server's description of the dataset
    * @param environment index of the shot's environment to start with
    */
-  constructor(shot, pictures, catalogue, environment) {
-    this.shot = shot;
+  constructor(shot, pictures, dataset, environment) {
+    Object.assign(this, { shot, dataset });
     this.pictures = pictures;
     this.sliders = new LightControls(() => this.draw());
     this.own = null;
@@ -59,7 +59,7 @@ export class LightPanel {
         h("figure", {}, this.rendered, h("figcaption", { text: "As rendered" })),
       ),
       this.problem,
-      this.controls(catalogue),
+      this.controls(dataset.environments),
     );
     this.start(environment);
   }
@@ -103,7 +103,7 @@ export class LightPanel {
       const [albedo, normal, alpha] = await Promise.all(
         ["albedo", "normal", "alpha"].map((pass) => askArray(path("values", subset, shot, pass))),
       );
-      this.shading.setShot(albedo, normal, alpha, this.shot.meta.camera);
+      this.shading.setShot(albedo, normal, alpha, this.shot.meta.camera, this.dataset.format);
     } catch (error) {
       return this.fail(error);
     }

@@ -80,14 +80,31 @@ precision highp sampler2D;
 uniform sampler2D linear;      // light; w: whether there is a surface
 uniform sampler2D far;         // light of the background
 uniform sampler2D albedo;      // w: alpha
+uniform int format;           // of the dataset: pictures of the first had another curve
 uniform bool filtered;
 uniform bool backdrop;
 out vec4 colour;
 
-vec3 display(vec3 x) {
+vec3 shoulder(vec3 x) {  // of format 1
   x = clamp(x, 0.0, 8.0);
   vec3 bent = 0.8 + log(1.0 + 26.23164050992174 * (max(x, 0.8) - 0.8)) / 26.23164050992174;
-  bent = mix(bent, x, lessThanEqual(x, vec3(0.8)));
+  return mix(bent, x, lessThanEqual(x, vec3(0.8)));
+}
+
+float largest(vec3 x) { return max(x.r, max(x.g, x.b)); }
+
+vec3 response(vec3 x) {
+  x = max(x, 0.0);
+  x /= max(largest(x) / 16.0, 1.0);
+  float brightest = max(largest(x), 1e-6);
+  float ratio = pow((brightest + 0.002) / 0.2835, 1.25);
+  float tone = (pow(ratio / (1.0 + ratio), 1.6) - 4.9606047125324184e-05) / 0.9896948862654779;
+  float colour = 1.0 - 0.6 * pow(tone, 6.0);
+  return tone * (1.0 - colour) + colour * (tone / brightest) * x;
+}
+
+vec3 display(vec3 x) {
+  vec3 bent = format == 1 ? shoulder(x) : response(x);
   vec3 power = 1.055 * pow(max(bent, 0.0031308), vec3(1.0 / 2.4)) - 0.055;
   return min(mix(power, 12.92 * bent, lessThanEqual(bent, vec3(0.0031308))), 1.0);
 }

@@ -40,8 +40,9 @@ export class Shading {
    * @param albedo (H, W, 3) float32, linear  @param normal (H, W, 3) float32, camera space
    * @param alpha (H, W) uint8, or float32 in [0, 1]
    * @param camera meta.json's: `intrinsics` 3×3 in pixels, `camera_to_world` 4×4
+   * @param format of the dataset
    */
-  setShot(albedo, normal, alpha, camera) {
+  setShot(albedo, normal, alpha, camera, format) {
     const { gl, canvas } = this;
     const [height, width] = albedo.shape;
     Object.assign(canvas, { width, height });
@@ -60,6 +61,7 @@ export class Shading {
     const [[fx, , cx], [, fy, cy]] = camera.intrinsics;
     this.lens = [fx, fy, cx, cy];
     this.axes = camera.camera_to_world;
+    this.format = format;
     this.ready.shot = true;
   }
 
@@ -114,6 +116,7 @@ export class Shading {
 
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
     show.use({ linear: textures.linear, far: textures.far, albedo: textures.albedo });
+    gl.uniform1i(show.places.format, this.format);
     gl.uniform1i(show.places.filtered, Number(settings.filtered));
     gl.uniform1i(show.places.backdrop, Number(settings.backdrop));
     gl.drawArrays(gl.TRIANGLES, 0, 3);

@@ -41,7 +41,7 @@ export class ShotView {
     this.light = new LightPanel(
       shot,
       (e) => this.pictures.picture("image", e),
-      this.dataset.environments,
+      this.dataset,
       this.environment,
     );
     this.element.replaceChildren(

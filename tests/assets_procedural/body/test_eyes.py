@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import trimesh
 
 from assets_procedural.body.eyes import IRIS_RATIO, eyeball, eyes
 from assets_procedural.body.head import HeadModel, Identity
 from assets_procedural.conventions.parts import Part
+from assets_procedural.mesh.subdivision import catmull_clark
 from assets_procedural.motion.poses import Pose
+from assets_procedural.people.person_sampling import PeopleSettings, sample_person
 from assets_procedural.person import Eyes, Person
 
 PERSON = Person(eyes=Eyes(iris=(0.1, 0.2, 0.35), redness=0.5, seed=3))
@@ -35,7 +38,7 @@ def test_eyeballs_sit_at_their_joints(identity):
 def test_labels_and_transparent_films(pieces):
     for name, piece in pieces.items():
         assert piece.part == (Part.LEFT_EYE if "left" in name else Part.RIGHT_EYE)
-        assert piece.hidden_from_labels == (piece.material in ("cornea", "tear"))
+        assert piece.hidden_from_labels == (piece.material in ("cornea", "tear", "lid_shade"))
 
 
 def test_topology_is_constant_and_faces_are_whole(identity, pieces):
@@ -100,3 +103,41 @@ def test_tear_line_and_caruncle_stay_on_the_eye(identity, pieces):
         assert pieces["caruncle_left"].place(bust)[:, 0].mean() < centre[0] - 0.006
         tear = pieces["tear_left"].place(bust)
         assert np.median(tear[:, 2]) < centre[2]
+
+
+def test_the_shade_of_the_lids_follows_them_over_the_eye(identity, pieces):
+    centre, radius = eyeball(identity, "eye_left")
+    shade = pieces["lid_shade_left"]
+    dark = shade.vertex["shade"] > 0.5
+    for expression in ({}, {"eyeBlinkLeft": 0.5}, {"eyeWideLeft": 1.0}):
+        bust = identity.pose(Pose(expression=expression))
+        points = shade.place(bust) - centre
+        ball = np.linalg.norm(pieces["eye_left"].place(bust) - centre, axis=1).max()
+        distance = np.linalg.norm(points, axis=1) / ball
+        assert distance.min() > 1.005 and distance.max() < 1.1
+        upper = points[:, 2] > 0.3 * radius * np.abs(points[:, 0])
+        # Darkest where the lid is, that is farthest from the pupil.
+        height = points[upper & dark][:, 2].mean() - points[upper & ~dark][:, 2].mean()
+        assert height > 0.001
+
+
+@pytest.mark.parametrize("squeeze", [{}, {"eyeSquintLeft": 0.6, "mouthSmileLeft": 1.0}])
+def test_shut_lids_cover_the_eye(squeeze):
+    """Nearly every ray that leaves the front of cornea and ball meets skin."""
+    model = HeadModel.load()
+    quads = model.faces["skin"]
+    middle = model.template[quads].mean(axis=1)
+    ball = model.template[model.groups["eye_left"]].mean(axis=0)
+    lids = catmull_clark(quads[np.linalg.norm(middle - ball, axis=1) < 0.03], len(model.template))
+    triangles = lids.faces[:, [[0, 1, 2], [0, 2, 3]]].reshape(-1, 3)
+    for seed in (0, 1, 8):
+        person = sample_person(np.random.default_rng(seed), PeopleSettings())
+        identity = model.identity(person)
+        bust = identity.pose(Pose(expression={"eyeBlinkLeft": 1.0} | squeeze))
+        skin = trimesh.Trimesh(lids.matrix @ bust.vertices, triangles, process=False)
+        for piece in eyes(person, identity):
+            if piece.name in ("eye_left", "cornea_left"):
+                points = piece.place(bust)
+                points = points[np.argsort(points[:, 1])[:1200:8]]
+                covered = skin.ray.intersects_any(points, np.tile([0.0, -1.0, 0.0], (150, 1)))
+                assert covered.mean() > 0.97, (seed, piece.name)

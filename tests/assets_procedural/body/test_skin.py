@@ -9,7 +9,7 @@ from assets_procedural.body.head import HeadModel
 from assets_procedural.body.regions import fields
 from assets_procedural.body.skin import reflectance, skin_fields
 from assets_procedural.people.person_sampling import PeopleSettings, sample_person
-from assets_procedural.person import Hair, Person, Skin
+from assets_procedural.person import Hair, Makeup, Person, Skin
 
 AMOUNTS = np.linspace(0, 1, 21)
 
@@ -71,12 +71,41 @@ def test_lips_and_cheeks_are_redder_than_the_forehead(model):
     assert np.median(redness[zone["lips"] > 0.9]) > forehead
 
 
-def test_strengths_reach_their_fields(model):
-    plain = skin_fields(Person(skin=Skin(freckles=0, wrinkles=0, oiliness=0)), model)
-    marked = skin_fields(Person(skin=Skin(freckles=1, wrinkles=1, oiliness=1)), model)
-    assert not plain.freckles.any() and not plain.wrinkles.any()
-    assert marked.freckles.max() > 0.9 and marked.wrinkles.max() > 0.9
-    assert (marked.roughness <= plain.roughness).all()
+def test_oil_and_pores_lie_where_skin_is_oily(model):
+    zone = fields(model)
+    plain = skin_fields(Person(skin=Skin(oiliness=0)), model)
+    oily = skin_fields(Person(skin=Skin(oiliness=1)), model)
+    assert (oily.roughness <= plain.roughness).all() and (oily.sebum >= plain.sebum).all()
+    middle, side = zone["t_zone"] > 0.9, (zone["cheeks"] > 0.5) & (zone["t_zone"] < 0.01)
+    assert oily.sebum[middle].mean() > 1.5 * oily.sebum[side].mean()
+    assert oily.pores[zone["nose"] > 0.9].mean() > 1.2 * oily.pores[zone["eyelids"] > 0.5].mean()
+
+
+@pytest.mark.parametrize(
+    ("paint", "where"), [("lipstick", "lips"), ("eyeshadow", "eyelids"), ("blush", "cheeks")]
+)
+def test_makeup_colours_its_place_alone(model, paint, where):
+    zone = fields(model)
+    bare, made_up = (
+        skin_fields(Person(makeup=Makeup.model_validate({paint: strength})), model).colour
+        for strength in (0, 1)
+    )
+    changed = np.abs(made_up - bare).max(axis=1) > 0.01
+    assert changed.sum() > 20
+    assert zone[where][changed].mean() > 0.3
+    assert not changed[(zone["forehead"] > 0.9) | (zone["neck"] > 0.9)].any()
+
+
+def test_a_shaven_beard_shows_on_men_with_dark_hair(model):
+    zone = fields(model)
+    shades = [
+        skin_fields(
+            Person(phenotypes={"gender": gender}, hair=Hair(melanin=melanin)), model
+        ).stubble[zone["beard"] > 0.9].mean()
+        for gender, melanin in ((0, 1.0), (0, 0.1), (1, 1.0))
+    ]  # fmt: skip
+    assert shades[0] > 1.5 * shades[1] > 0
+    assert shades[2] == 0
 
 
 def test_dark_hair_shades_the_scalp_and_only_the_scalp(model):

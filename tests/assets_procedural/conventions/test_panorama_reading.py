@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ import numpy as np
 import OpenEXR
 import pytest
 
+from assets_procedural.conventions import stored_panorama
 from assets_procedural.conventions.panorama_reading import PanoramaError, read
 from assets_procedural.conventions.primaries import REC709, to_rec709
 
@@ -331,3 +333,45 @@ def test_no_library_speaks_to_the_terminal(tmp_path: Path, capfd: pytest.Capture
 def test_all_compressions_are_read(tmp_path: Path, name: str):
     half = {n: p.astype(np.float16) for n, p in planes(scene()).items()}
     assert_shows_the_scene(exr(tmp_path / "c.exr", half, compression=getattr(OpenEXR, name)))
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"PF\n32 16\n-1.0\n" + bytes(6144), b"II*\0" + bytes(100), b"", b"\x89PNG\r\n\x1a\n"],
+)
+def test_another_format_is_refused_whatever_its_name(tmp_path: Path, content: bytes):
+    (tmp_path / "p.exr").write_bytes(content)
+    with pytest.raises(PanoramaError, match=r"p\.exr: .*\.exr or \.hdr"):
+        read(tmp_path / "p.exr")
+
+
+# ---------------------------------------------------------------- memory
+
+
+def large(path: Path) -> Path:
+    """1024 x 512, half a megapixel, as EXR or else Radiance."""
+    pixels = np.ones((512, 1024, 3), np.float32)
+    return exr(path, planes(pixels)) if path.suffix == ".exr" else hdr(path, pixels)
+
+
+@pytest.mark.parametrize("name", ["l.exr", "l.hdr"])
+def test_reading_holds_at_most_twice_the_picture(tmp_path: Path, name: str):
+    file = large(tmp_path / name)
+    read(exr(tmp_path / "first.exr", planes(scene())))  # what is imported once
+    tracemalloc.start()
+    try:
+        pixels, _ = read(file)
+        most = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert most < 2.1 * pixels.nbytes
+
+
+@pytest.mark.parametrize("name", ["l.exr", "l.hdr"])
+def test_what_does_not_fit_into_memory_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+):
+    file = large(tmp_path / name)
+    monkeypatch.setattr(stored_panorama, "available_memory", lambda: 10_000_000)
+    with pytest.raises(PanoramaError, match=r"takes 0\.0 GB of memory, 0\.0 GB are free; scale it"):
+        read(file)

@@ -5,11 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from pydantic import ValidationError
+from scipy.spatial.transform import Rotation
 
 from assets_procedural.motion.expressions import (
-    EXPRESSIONS,
+    EVERYDAY,
+    MOODS,
     VISEMES,
-    draw_expression,
+    WIDE,
+    draw_mood,
     mirrored,
     resolve,
 )
@@ -18,8 +21,8 @@ from assets_procedural.motion.poses import (
     Pose,
     PoseSettings,
     sample_pose,
-    sample_track,
 )
+from assets_procedural.motion.tracks import sample_track
 
 MANY = 400
 
@@ -37,11 +40,11 @@ def test_the_52_names() -> None:
 
 
 def test_every_archetype_resolves_into_the_unit_range() -> None:
-    assert len(EXPRESSIONS) >= 15
-    for actions in (*EXPRESSIONS.values(), *VISEMES):
+    assert len(MOODS) >= 15
+    for actions in (*MOODS.values(), *VISEMES.values()):
         values = resolve(actions, ARKIT_NAMES)
         assert values.min() >= 0.0 and values.max() <= 1.0
-        assert values.max() >= 0.2
+        assert values.max() >= 0.15 or actions == {}
         both = resolve(mirrored(mirrored(actions)), ARKIT_NAMES)
         np.testing.assert_array_equal(values, both)
 
@@ -55,7 +58,7 @@ def test_no_contradictory_actions() -> None:
     rng = np.random.default_rng(0)
     at = {name: index for index, name in enumerate(ARKIT_NAMES)}
     for _ in range(300):
-        values = resolve(draw_expression(rng), ARKIT_NAMES)
+        values = resolve(draw_mood(rng, WIDE)[1], ARKIT_NAMES)
         assert min(values[at["mouthLeft"]], values[at["mouthRight"]]) == 0.0
         for side in ("Left", "Right"):
             assert values[at["eyeBlink" + side]] + values[at["eyeWide" + side]] <= 1.0 + 1e-9
@@ -99,8 +102,51 @@ def test_gaze_compensates_for_the_turn_of_the_head() -> None:
     assert np.corrcoef(turn, gaze)[0, 1] < -0.25
 
 
+def looks_upset(pose: Pose) -> bool:
+    signs = ("browDownLeft", "mouthFrownLeft", "noseSneerLeft", "browInnerUp")
+    return max(pose.expression.get(name, 0.0) for name in signs) > 0.3
+
+
+def test_everyday_faces_are_seldom_upset_and_wide_ones_often() -> None:
+    everyday, wide = (
+        np.mean([looks_upset(p) for p in poses(PoseSettings(moods=m))])  # pyright: ignore[reportArgumentType]
+        for m in ("everyday", "wide")
+    )
+    assert everyday <= 0.15 < 0.25 < wide
+    smiling = [p.expression.get("mouthSmileLeft", 0.0) > 0.1 for p in poses(PoseSettings())]
+    assert np.mean(smiling) > 0.5
+
+
+def test_jobs_choose_moods() -> None:
+    for pose in poses(PoseSettings(moods={"yawn": 1.0}, neutral=0, talking=0), 50):
+        assert pose.expression["jawOpen"] > 0.15
+    assert set(EVERYDAY) <= set(MOODS) and set(WIDE) <= set(MOODS)
+
+
+def meets(pose: Pose, lens: np.ndarray) -> bool:
+    """The optic axis passes within 3 degrees of the lens."""
+    yaw, pitch = pose.gaze
+    turn = Rotation.from_euler("xyz", pose.head)
+    axis = turn.apply(Rotation.from_euler("xyz", [-pitch, 0, yaw]).apply([0, -1, 0]))
+    towards = lens - turn.apply([0, -0.067, 0.002])
+    return bool(np.degrees(np.arccos(axis @ towards / np.linalg.norm(towards))) < 3)
+
+
+@pytest.mark.parametrize("yaw", [0, 25, -40])
+def test_half_of_all_gazes_meet_the_lens(yaw: float) -> None:
+    lens = Rotation.from_euler("xyz", [0.1, 0, np.radians(yaw)]).apply([0, -1.0, 0])
+    for wanted in (0.0, 0.5, 1.0):
+        settings = PoseSettings(gaze_at_camera=wanted)
+        drawn = [sample_pose(np.random.default_rng(s), settings, lens) for s in range(200)]
+        share = np.mean([meets(pose, lens) for pose in drawn])
+        assert wanted - 0.09 <= share <= wanted + 0.12
+        track = sample_track(np.random.default_rng(1), 400, settings, lens)
+        shown = np.mean([meets(pose, lens) for pose in track])
+        assert shown >= 0.45 * wanted
+
+
 def test_expressions_vary_and_are_slightly_asymmetric() -> None:
-    values = np.array([vector(pose) for pose in poses(PoseSettings(neutral=0))])
+    values = np.array([vector(pose) for pose in poses(PoseSettings(neutral=0, moods="wide"))])
     used = (values > 0.1).mean(axis=0)
     assert (used > 0.005).sum() >= 35
     at = {name: index for index, name in enumerate(ARKIT_NAMES)}
@@ -148,6 +194,20 @@ def test_tracks_are_smooth_and_stay_inside() -> None:
         assert values[:, blink].max() > 0.45  # five seconds without a blink are rare
 
 
+def test_lids_shut_faster_than_they_open_and_gazes_hold() -> None:
+    settings = PoseSettings(frames_per_second=200, talking=0, moods={"neutral": 1.0})
+    lids, held = [], []
+    for seed in range(6):
+        track = sample_track(np.random.default_rng(seed), 1200, settings)
+        lids.append(np.array([p.expression.get("eyeBlinkLeft", 0.0) for p in track]))
+        gaze = np.degrees([p.gaze for p in track]) + np.degrees([p.head for p in track])[:, [2, 0]]
+        held.append(np.hypot(*np.diff(gaze, axis=0).T) < 0.25)
+    speed = np.diff(np.array(lids), axis=1)
+    shutting, opening = (speed > 1e-3).sum(), (speed < -1e-3).sum()
+    assert 1.5 < opening / shutting < 2.3  # 150 and 80 ms
+    assert np.mean(held) > 0.85
+
+
 def test_a_few_frames_show_motion() -> None:
     settings = PoseSettings()
     moved = []
@@ -162,6 +222,9 @@ def test_a_few_frames_show_motion() -> None:
     ("settings", "message"),
     [
         ({"expression": 1.5}, "less than or equal to 1"),
+        ({"moods": {"angry": -1.0}}, "greater than or equal to 0"),
+        ({"moods": {"cross": 1.0}}, "Input should be"),
+        ({"moods": {}}, "at least one weight"),
         ({"talking": -0.1}, "greater than or equal to 0"),
         ({"head_yaw": [30, -30]}, "low <= high"),
         ({"head_yaw": [-120, 0]}, r"within \[-80, 80\] degrees"),

@@ -79,7 +79,7 @@ def array(answer: Any) -> np.ndarray:
 
 def test_the_dataset_is_described(ask: TestClient):
     found = ask.get("/api/dataset").json()
-    assert (found["name"], found["format"], found["complete"]) == ("small", 1, True)
+    assert (found["name"], found["format"], found["complete"]) == ("small", 2, True)
     assert (found["shots"], found["frames"], found["failures"]) == (16, 5 * 2 * 2 + 3 * 2 * 3, 0)
     assert [e["id"] for e in found["environments"]] == ["city", "night", "studio"]
     assert found["part_names"][13] | {"colour": None} == {"id": 13, "name": "hair", "colour": None}

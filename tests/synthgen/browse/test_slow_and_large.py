@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import socket
 import threading
@@ -22,23 +23,29 @@ from synthgen.browse.snapshot import Library
 from synthgen.browse.thumbnails import Thumbnails
 
 
+@contextlib.contextmanager
+def served(app: Any) -> Iterator[int]:
+    """The port of a server as `synthgen browse` runs it."""
+    listening = socket.create_server(("127.0.0.1", 0))
+    server = uvicorn.Server(uvicorn.Config(app, http=serving.Patient, log_level="critical"))
+    thread = threading.Thread(target=server.run, kwargs={"sockets": [listening]})
+    thread.start()
+    while not server.started:
+        time.sleep(0.01)
+    yield listening.getsockname()[1]
+    server.should_exit = True
+    thread.join()
+
+
 @pytest.fixture
 def port(small_dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
     monkeypatch.setattr(serving, "HEADER_SECONDS", 0.5)
     monkeypatch.setattr(uploads, "PATIENCE", 0.5)
     monkeypatch.setattr("synthgen.browse.light.LARGEST_UPLOAD", 1 << 20)
     library = Library(Folder(small_dataset), 1)
-    listening = socket.create_server(("127.0.0.1", 0))
-    number = listening.getsockname()[1]
-    app = create(library, Thumbnails(tmp_path), None, number)
-    server = uvicorn.Server(uvicorn.Config(app, http=serving.Patient, log_level="critical"))
-    thread = threading.Thread(target=server.run, kwargs={"sockets": [listening]})
-    thread.start()
-    while not server.started:
-        time.sleep(0.01)
-    yield number
-    server.should_exit = True
-    thread.join()
+    # Without a token any name of this machine is accepted, whatever the port.
+    with served(create(library, Thumbnails(tmp_path), None, 0)) as number:
+        yield number
     library.close()
 
 
@@ -94,6 +101,37 @@ def test_a_body_that_is_too_large_gets_its_answer(port: int, length: int):
 def test_a_body_that_stops_is_given_up(port: int):
     answer = talk(port, head(1000), b"#?RADIANCE")
     assert b" 408 " in answer.split(b"\r\n")[0]
+
+
+LONG = 64 << 20  # bytes of an answer, more than the sockets' buffers
+
+
+async def long_answer(scope: Any, receive: Any, send: Any) -> None:
+    if scope["type"] == "http":
+        length = (b"content-length", str(LONG).encode())
+        await send({"type": "http.response.start", "status": 200, "headers": [length]})
+        await send({"type": "http.response.body", "body": bytes(LONG)})
+
+
+@pytest.mark.parametrize(("pause", "whole"), [(2.0, False), (0.1, True)], ids=["stops", "slow"])
+def test_an_answer_that_is_not_read_is_given_up(
+    monkeypatch: pytest.MonkeyPatch, pause: float, whole: bool
+):
+    monkeypatch.setattr(serving, "READER_SECONDS", 0.5)
+    with (
+        served(long_answer) as port,
+        socket.create_connection(("127.0.0.1", port), timeout=10) as connection,
+    ):
+        connection.sendall(b"GET / HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n")
+        received = 0
+        for _ in range(10):  # takes longer than what a reader may stop for
+            time.sleep(pause)
+            pause = pause if whole else 0.0
+            received += len(connection.recv(1 << 20))
+        with contextlib.suppress(ConnectionResetError):
+            while piece := connection.recv(1 << 20):
+                received += len(piece)
+    assert (received > LONG) == whole
 
 
 def test_uploads_are_bounded_together(monkeypatch: pytest.MonkeyPatch):

@@ -123,6 +123,29 @@ def test_query(out: Path):
         manifest.query(out, "SELECT nonsense FROM manifest")
 
 
+def test_the_manifest_holds_every_attribute_of_a_person(out: Path):
+    dataset = open_dataset(out)
+    person = dataset.read(0, ("meta",))["meta"]["person"]
+    columns = manifest.query(out, "SELECT * FROM manifest").column_names
+
+    def check(prefix: str, value: dict):
+        for name, item in value.items():
+            if name == "phenotypes":
+                assert {f"person_{n}" for n in item} <= set(columns)
+            elif isinstance(item, dict) and f"{prefix}_{name}" not in columns:
+                check(f"{prefix}_{name}", item)
+            elif item is not None:
+                assert f"{prefix}_{name}" in columns
+
+    check("person", person)
+    named = "person_sex, person_age_group, person_ancestry, person_hair_colour, person_beard_style"
+    for row in manifest.query(out, f"SELECT {named} FROM manifest").rows:
+        assert all(row)
+    assert manifest.query(
+        out, "SELECT bool_and(person_ancestry_mix[person_ancestry] >= 0.5) FROM manifest"
+    ).rows == [(True,)]
+
+
 def test_reading_needs_neither_blender_nor_torch(out: Path):
     code = (
         "import sys; from synthgen.dataset import open_dataset; "

@@ -125,6 +125,24 @@ def test_subjects_and_subsets_differ() -> None:
     assert first[0].person != first[1].person
 
 
+def test_people_of_another_subset_are_the_same_and_in_the_same_split() -> None:
+    job = make(subjects=400, videos=300).job
+    shared = job.subsets["video"].model_copy(update={"people_of": "multiview"})
+    subsets = {**job.subsets, "video": shared}
+    the_plan = Plan(job.model_copy(update={"subsets": subsets}), POOL)
+    for index in range(300):
+        assert the_plan.split("video", index) == the_plan.split("multiview", index)
+    for index in (0, 7, 299):
+        ours, other = the_plan.subject("video", index), the_plan.subject("multiview", index)
+        assert ours.person == other.person and ours.split == other.split
+        assert ours.seed != other.seed and ours.poses[0] != other.poses[0]
+
+
+def test_papers_video_people_are_among_the_multiview_people() -> None:
+    the_plan = plan(load_job(JOBS / "paper.toml"))
+    assert the_plan.person("video", 9_999) == the_plan.person("multiview", 9_999)
+
+
 def test_lights_are_different_and_in_range() -> None:
     the_plan = make(environments=12)
     for index in range(20):

@@ -30,7 +30,7 @@ def out(small_dataset: Path) -> Path:
 
 def test_dataset_json_tells_everything(out: Path):
     info = read_description(out)
-    assert info.format == 1
+    assert info.format == 2
     assert info.job["seed"] == JOB.seed
     assert info.code["version"]
     assert info.renderer == fake_renderer.RENDERER

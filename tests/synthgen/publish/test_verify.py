@@ -452,7 +452,7 @@ def test_no_dataset_is_one_line(tmp_path: Path):
     with pytest.raises(StorageError, match="no dataset here"):
         verify(tmp_path)
     (tmp_path / "dataset.json").write_text('{"format": 99}')
-    assert verify(tmp_path) == ["dataset.json: format 99, not 1"]
+    assert verify(tmp_path) == ["dataset.json: format 99, not 1 or 2"]
 
 
 def test_io_is_what_the_manifest_says(small_dataset: Path):

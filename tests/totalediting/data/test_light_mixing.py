@@ -22,11 +22,11 @@ def test_a_mixture_is_the_sum_in_linear_light(small_dataset: Path):
     stored = shots.read(0, "rgb_00", "rgb_01", "meta")
     factors = torch.tensor([0.3, 0.4, 0.5]), torch.tensor([0.6, 0.5, 0.1])
     light = Light((0, 1), factors)
-    linear = [undisplay(picture(stored[f"rgb_{k:02d}"], 24)) for k in range(2)]
+    linear = [undisplay(picture(stored[f"rgb_{k:02d}"], 24), 0) for k in range(2)]
     by_light = torch.stack(factors)[:, :, None, None]
     summed = (by_light * torch.stack(linear)).sum(0)
     pictures = [picture(stored[name], 24) for name in light.members()]
-    assert torch.allclose(light.picture(pictures), display(summed), atol=1e-6)
+    assert torch.allclose(light.picture(pictures), display(summed, 0), atol=1e-6)
     maps = [shots.lightmaps(stored["meta"], k, 8) for k in range(2)]
     wanted = (by_light[:, None] * torch.stack(maps)).sum(0)
     assert torch.allclose(light.lightmaps(maps), wanted)

@@ -400,7 +400,7 @@ def test_wrong_folders_are_one_line(small_dataset: Path, tmp_path: Path):
     path = folder / "dataset.json"
     info = json.loads(path.read_bytes())
     path.write_text(json.dumps(info | {"format": 7}))
-    with pytest.raises(InputError, match="of format 7, this version reads 1"):
+    with pytest.raises(InputError, match="of format 7, this version reads 1 and 2"):
         PortraitPairs(folder, SMALL)
     splits = ("train", "validation", "test")
     kinds = itertools.product(("multiview", "video"), splits)

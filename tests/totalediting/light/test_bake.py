@@ -19,14 +19,13 @@ from answer import Answer
 from PIL import Image
 
 from assets_procedural.conventions import console, panorama, panorama_files, panorama_reading
-from assets_procedural.conventions.colour import KNEE
 from assets_procedural.light.pool import EnvironmentSettings, pool
 from totalediting import cli
 from totalediting.errors import InputError
 from totalediting.light import lightmaps
 from totalediting.light.ball import shade_ball
 from totalediting.light.files import read_lightmaps, write_lightmaps
-from totalediting.light.pictures import exposure_of
+from totalediting.light.pictures import WHITE, exposure_of
 
 CHANNELS = {f"{lobe}.{c}" for lobe in lightmaps.LOBES for c in "RGB"}
 
@@ -176,9 +175,9 @@ def test_pictures_are_drawn(
         assert red > blue > 0
 
 
-def test_the_exposure_puts_the_brightest_diffuse_light_at_the_knee(environment: Path) -> None:
+def test_the_exposure_puts_the_brightest_diffuse_light_at_white(environment: Path) -> None:
     maps = lightmaps.bake(radiance_of(environment) * 37.0)
-    assert float(maps[0].max()) * exposure_of(maps) == pytest.approx(KNEE)
+    assert float(maps[0].max()) * exposure_of(maps) == pytest.approx(WHITE)
 
 
 def test_errors_are_one_line(

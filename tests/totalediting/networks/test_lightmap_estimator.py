@@ -159,7 +159,7 @@ def test_a_token_knows_the_light_that_its_patch_shows() -> None:
     """The mean of linear light, not of what is displayed, patch by patch and channel by channel."""
     light = torch.zeros(1, 3, 128, 128)
     light[:, 0, :, 4:8], light[:, 1] = 0.6, 0.1  # red in half of the first column of patches
-    seen = lightmap_estimator._light_shown(phong.display(light))[0].unflatten(0, (16, 16))
+    seen = lightmap_estimator._light_shown(phong.display(light, 1))[0].unflatten(0, (16, 16))
     for column, shown in ((0, [0.3, 0.1, 0.0]), (1, [0.0, 0.1, 0.0])):
         wanted = torch.tensor([math.log1p(c) for c in shown] + [math.log(c + 0.02) for c in shown])
         torch.testing.assert_close(seen[:, column], wanted.expand(16, -1), atol=1e-5, rtol=1e-5)

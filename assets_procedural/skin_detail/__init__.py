@@ -1,0 +1,1 @@
+"""What shows on the skin beyond the mesh: creases, marks and paint, as one picture."""
