@@ -106,6 +106,8 @@ def _density(style: BeardStyle, person: Person, identity: Identity) -> Callable:
         skin = skin * smoothstep(0.5, 0.1, roots.of(masks["ears"])) * (y < -0.035)
         # Sideburns run into the hair of the temples.
         skin = skin * smoothstep(12, 2, hairline_distance(points, person) * (z > 0.66))
+        # Under the jaw it is thinner: from the front it would add up to a dark edge.
+        skin = skin * (1 - 0.6 * smoothstep(-0.2, -0.7, unit(roots.of(normals))[:, 2]))
         # Not inside the nostrils nor the mouth: hair grows on skin that faces away from the head.
         facing = (roots.of(normals) * (points - [0, -0.06, 0.67])).sum(-1) > 0
         below = smoothstep(soft, -soft, z - cheek)

@@ -43,7 +43,10 @@ def scalp_density(person: Person, style: Style, ears: np.ndarray) -> Callable:
         grown = 0.05 * smoothstep(-7, -3, inside) + 0.95 * smoothstep(-4.5, 5, inside)
         grown = grown * smoothstep(0.7, 0.35, roots.of(ears))
         if style.volume > 0:
-            grown = grown * (0.17 + 0.83 * _bare_risk(points, inside, style, person))
+            # Long hair covers what lies below it, short hair its own skin only.
+            least = 0.6 if style.length[1] < 0.06 else 0.2
+            risk = _bare_risk(points, inside, style, person)
+            grown = grown * (least + (1 - least) * risk)
         if style.rows:
             place, _ = row_offset(points, style.rows)
             grown = grown * smoothstep(0.5, 0.34, np.abs(place))

@@ -66,7 +66,9 @@ def _grown(
         unit(guide_roots.of(identity.neutral.normals)), guide_at, np.sign(guide_side), rng,
     )  # fmt: skip
     roots = child_roots.of(identity.rest)
-    ids, weights = spread(guides[:, 0], guide_side, roots, side, focus=4.0)
+    # Hair that stands has no locks of its own to follow.
+    focus = 1.5 if style.combing is upright else 4.0
+    ids, weights = spread(guides[:, 0], guide_side, roots, side, focus=focus)
     strands = roots[:, None] + mix(guides - guides[:, :1], ids, weights)
     tail = np.zeros(len(strands), bool)
     if style.ties:
