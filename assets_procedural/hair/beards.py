@@ -65,7 +65,7 @@ def beard(person: Person, identity: Identity, rng: np.random.Generator) -> list[
     strands = _grown(identity, roots, flow, length, points, lift=0.45 if stubble else 0.4)
     tone = rng.normal(0, 0.25, count)
     if not stubble:
-        for size, strength in ((10, 0.5), (60, 0.55 if full > 0.012 else 0.25)):
+        for size, strength in ((10, 0.35), (60, 0.5 if full > 0.012 else 0.1)):
             leader = locks(strands[:, 0], np.ones(count, int), size, rng)
             strands = clump(strands, leader, strength * rng.uniform(0.6, 1.2, count))
             tone = tone + rng.normal(0, 0.2, count)[leader]

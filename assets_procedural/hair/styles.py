@@ -102,7 +102,7 @@ _CLIPPED: dict[str, Any] = {
 _SHORT: dict[str, Any] = {
     "points": 7, "radius": 7.5e-5, "count": 30000, "lift": 0.5, "reach": 0.2, "gravity": 0.12,
     "volume": 0.012, "tousle": 0.35, "lock": (10, 0.5), "wisps": (260, 0.3, 0.0015),
-    "stray": 0.0025, "under_hat": True,
+    "stray": 0.0025, "roughness": 0.32, "under_hat": True,
 }  # fmt: skip
 _SWEPT: dict[str, Any] = {
     "points": 10, "count": 30000, "lift": 0.35, "reach": 0.2, "gravity": 0.15, "volume": 0.012,
@@ -113,7 +113,7 @@ _FALLING: dict[str, Any] = {
     "lift": 0.3, "stray": 0.0045, "under_hat": True,
 }  # fmt: skip
 _COILY: dict[str, Any] = {
-    "points": 12, "count": 34000, "radius": 6.5e-5, "lift": 1.0, "reach": 9, "gravity": 0.0,
+    "points": 12, "count": 46000, "radius": 6.5e-5, "lift": 1.0, "reach": 9, "gravity": 0.0,
     "stiffness": 0.9, "volume": 0, "flat": 0.0, "lock": (40, 0.18), "wisps": (0, 0, 0),
     "roughness": 0.4, "sides": 0.85,
 }  # fmt: skip
