@@ -22,12 +22,12 @@ class BeardStyle:
 
 
 BEARDS: dict[str, BeardStyle] = {
-    "stubble": BeardStyle(26000, (0.5, 2.0), 0.75, 1.0, 1.0, 0.9, tidy=0.0),
-    "moustache": BeardStyle(2600, (4.0, 9.0), moustache=1.0),
-    "goatee": BeardStyle(5600, (4.0, 14.0), chin=1.0, moustache=1.0),
-    "boxed": BeardStyle(13000, (4.0, 8.0), 0.85, 1.0, 1.0, 0.9, tidy=0.8),
-    "full": BeardStyle(15000, (9.0, 22.0), 1.0, 1.0, 1.0, 1.0),
-    "long": BeardStyle(15000, (35.0, 90.0), 1.0, 1.0, 1.0, 0.8, tidy=0.1),
-    "sideburns": BeardStyle(5000, (4.0, 9.0), sideburns=1.0, tidy=0.5),
+    "stubble": BeardStyle(36000, (0.5, 2.0), 0.75, 1.0, 1.0, 0.9, tidy=0.0),
+    "moustache": BeardStyle(3600, (4.0, 9.0), moustache=1.0),
+    "goatee": BeardStyle(8500, (4.0, 14.0), chin=1.0, moustache=1.0),
+    "boxed": BeardStyle(21000, (4.0, 8.0), 0.85, 1.0, 1.0, 0.9, tidy=0.8),
+    "full": BeardStyle(20000, (9.0, 22.0), 1.0, 1.0, 1.0, 1.0),
+    "long": BeardStyle(18000, (35.0, 90.0), 1.0, 1.0, 1.0, 0.8, tidy=0.1),
+    "sideburns": BeardStyle(6500, (4.0, 9.0), sideburns=1.0, tidy=0.5),
 }
 BEARD_STYLES = ("none", *BEARDS)

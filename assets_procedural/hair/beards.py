@@ -65,7 +65,7 @@ def beard(person: Person, identity: Identity, rng: np.random.Generator) -> list[
     strands = _grown(identity, roots, flow, length, points, lift=0.45 if stubble else 0.4)
     tone = rng.normal(0, 0.25, count)
     if not stubble:
-        for size, strength in ((10, 0.5), (60, 0.55 if full > 0.012 else 0.25)):
+        for size, strength in ((10, 0.35), (60, 0.5 if full > 0.012 else 0.1)):
             leader = locks(strands[:, 0], np.ones(count, int), size, rng)
             strands = clump(strands, leader, strength * rng.uniform(0.6, 1.2, count))
             tone = tone + rng.normal(0, 0.2, count)[leader]
@@ -106,6 +106,8 @@ def _density(style: BeardStyle, person: Person, identity: Identity) -> Callable:
         skin = skin * smoothstep(0.5, 0.1, roots.of(masks["ears"])) * (y < -0.035)
         # Sideburns run into the hair of the temples.
         skin = skin * smoothstep(12, 2, hairline_distance(points, person) * (z > 0.66))
+        # Under the jaw it is thinner: from the front it would add up to a dark edge.
+        skin = skin * (1 - 0.6 * smoothstep(-0.2, -0.7, unit(roots.of(normals))[:, 2]))
         # Not inside the nostrils nor the mouth: hair grows on skin that faces away from the head.
         facing = (roots.of(normals) * (points - [0, -0.06, 0.67])).sum(-1) > 0
         below = smoothstep(soft, -soft, z - cheek)

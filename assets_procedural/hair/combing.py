@@ -39,6 +39,8 @@ def combed_from_whorl(guides: Guides) -> np.ndarray:
 def combed_from_parting(guides: Guides) -> np.ndarray:
     """To either side of the parting and a little back; behind the crown from the whorl."""
     front = smoothstep(0.035, -0.04, guides.root[:, 1])[:, None]
+    # Below the temples it falls: outwards it would leave the head.
+    front = front * smoothstep(0.75, 0.80, guides.root[:, 2])[:, None]
     back = 0.55 + 0.4 * smoothstep(-0.09, -0.14, guides.root[:, 1])
     apart = np.stack([guides.side, back, np.full(len(back), -0.15)], axis=1)
     return unit(front * unit(apart) + (1 - front) * combed_from_whorl(guides))

@@ -18,8 +18,11 @@ from assets_procedural.person import Person
 
 _STEPS = 30
 CLOTHES_MARGIN = 0.015
-# Beside a parting hair stands no higher than its ridge: this much, and the skull's own curvature.
-_PART_HEIGHT, _PART_CURVATURE = 0.0038, 3.5
+# Beside a parting hair stands hardly higher than its ridge, metres; from the sides on it is free.
+_PART_HEIGHT, _RIDGE_SLOPE, _RIDGE_WIDTH = 0.0036, 0.4, 0.045
+# Hair of more than this length falls over the ears, which the skin that strands keep off lacks.
+_OVER_EARS, _EAR_HEIGHT = 0.15, 0.014
+_EAR, _EAR_REACH = np.array([-0.042, 0.715]), np.array([0.026, 0.034])
 
 
 def tie_points(style: Style, root_at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -107,11 +110,16 @@ def grow(
         ceiling = np.full(len(root), 0.06)
         if style.parted:
             gap = part_gap(at, person)
-            ridge = _PART_HEIGHT + _PART_CURVATURE * gap**2
+            ridge = max(_PART_HEIGHT, 0.3 * style.volume - 0.002) + _RIDGE_SLOPE * gap**2
+            ridge = ridge + 25 * np.maximum(gap - _RIDGE_WIDTH, 0) ** 2
             height = np.minimum(height, ridge * (0.3 + 0.7 * layer))
             ceiling = np.where(at[:, 2] > 0.77, ridge * (0.4 + 0.6 * layer), ceiling)
         rise = quiff * off * smoothstep(length, 0.3 * length, travelled)
         height, ceiling = height + rise, ceiling + rise
+        if style.length[1] > _OVER_EARS:
+            away = (at[:, 1:] - _EAR) / _EAR_REACH
+            over = np.exp(-(away**2).sum(axis=1)) * (travelled > 0.05) * ~bound
+            height = np.maximum(height, _EAR_HEIGHT * over * (0.85 + 0.15 * layer))
         low = smoothstep(chin + 0.02, chin - 0.03, tried[:, 2])
         height = np.maximum(height, low * (CLOTHES_MARGIN + 0.01 * layer))
         signed, up = surface.distance(tried)

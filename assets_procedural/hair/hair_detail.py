@@ -63,8 +63,9 @@ def detailed(
         if style.tail in ("bun", "braid", "puff"):
             pull = np.where(tail, 0, pull)
         strands = clump(strands, leader, pull)
-    # A hair strays a little within its lock; only flyaways leave it.
-    stray = style.stray * rng.uniform(0.3, 1, count) * np.where(fly, 2.2, 0.3)
+    # In a wisp a hair strays a little; only flyaways leave it.
+    kept = 0.3 if style.wisps[0] else 1.0
+    stray = style.stray * rng.uniform(0.3, 1, count) * np.where(fly, 2.2, kept)
     stray = np.where(baby, np.maximum(0.5 * stray, 0.15 * short * reach), stray)
     if style.tail in ("bun", "braid"):
         stray = np.where(tail & ~fly, stray * 0.4, stray)

@@ -43,7 +43,10 @@ def scalp_density(person: Person, style: Style, ears: np.ndarray) -> Callable:
         grown = 0.05 * smoothstep(-7, -3, inside) + 0.95 * smoothstep(-4.5, 5, inside)
         grown = grown * smoothstep(0.7, 0.35, roots.of(ears))
         if style.volume > 0:
-            grown = grown * (0.22 + 0.78 * _bare_risk(points, inside, style, person))
+            # Long hair covers what lies below it, short hair its own skin only.
+            least = 0.6 if style.length[1] < 0.06 else 0.2
+            risk = _bare_risk(points, inside, style, person)
+            grown = grown * (least + (1 - least) * risk)
         if style.rows:
             place, _ = row_offset(points, style.rows)
             grown = grown * smoothstep(0.5, 0.34, np.abs(place))
@@ -57,7 +60,7 @@ def _bare_risk(points: np.ndarray, inside: np.ndarray, style: Style, person: Per
 
     At a parting, the whorl and the front hairline hair must grow denser for the same cover.
     """
-    parting = near_parting(points, person) * style.parted
+    parting = near_parting(points, person) ** 2 * style.parted
     whorl = np.exp(-(((points - WHORL) / 0.022) ** 2).sum(axis=1)) * (not style.ties)
     line = smoothstep(14, 3, inside) * 0.9
     return np.maximum(np.maximum(parting, whorl), line)
@@ -92,5 +95,5 @@ def parting_sides(points: np.ndarray, person: Person, rng: np.random.Generator) 
     """Side (-1, 1) of the parting; hairs close to it cross over, so that it is no drawn line."""
     gap = points[:, 0] - _part_line(person, points[:, 1])
     line = np.random.default_rng([person.hair.seed, 29])
-    gap = gap + 0.0014 * tousled(points * 2.0, line)[:, 0] + rng.normal(0, 0.0010, len(points))
+    gap = gap + 0.0014 * tousled(points * 2.0, line)[:, 0] + rng.normal(0, 0.0018, len(points))
     return np.where(gap > 0, 1, -1)

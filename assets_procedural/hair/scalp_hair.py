@@ -27,6 +27,7 @@ from assets_procedural.person import Hat, Person
 
 _GUIDES = 900
 _TAIL_SHARE = 0.35
+_SMALL_PUSH = 0.008
 # Hair lies flat under a hat and leaves its rim at this slope.
 _UNDER_HAT, _HAT_FLARE = 0.002, 0.6
 
@@ -66,7 +67,9 @@ def _grown(
         unit(guide_roots.of(identity.neutral.normals)), guide_at, np.sign(guide_side), rng,
     )  # fmt: skip
     roots = child_roots.of(identity.rest)
-    ids, weights = spread(guides[:, 0], guide_side, roots, side, focus=4.0)
+    # Hair that stands has no locks of its own to follow.
+    focus = 1.5 if style.combing is upright else 4.0
+    ids, weights = spread(guides[:, 0], guide_side, roots, side, focus=focus)
     strands = roots[:, None] + mix(guides - guides[:, :1], ids, weights)
     tail = np.zeros(len(strands), bool)
     if style.ties:
@@ -83,7 +86,10 @@ def _grown(
     strands = resample(strands, _off_the_face(frame.to_template(strands)), style.points)
     if style.combing is not upright:
         clear = np.minimum(np.linspace(0, 0.004, style.points), 0.0012)
-        strands[:, 1:] = surface.push_out(strands[:, 1:], clear[1:])
+        out = surface.push_out(strands[:, 1:], clear[1:]) - strands[:, 1:]
+        # Guides are clear of the skin: whatever is far off it here is in the gap of an ear.
+        far = np.linalg.norm(out, axis=-1, keepdims=True)
+        strands[:, 1:] += out * np.minimum(1, _SMALL_PUSH / np.maximum(far, 1e-9))
     if person.hat is not None:
         strands, radius = _under_hat(person.hat, identity, surface, strands, radius)
 

@@ -101,20 +101,20 @@ _CLIPPED: dict[str, Any] = {
 }  # fmt: skip
 _SHORT: dict[str, Any] = {
     "points": 7, "radius": 7.5e-5, "count": 30000, "lift": 0.5, "reach": 0.2, "gravity": 0.12,
-    "volume": 0.012, "tousle": 0.35, "wisps": (260, 0.45, 0.002), "stray": 0.0025,
-    "under_hat": True,
+    "volume": 0.012, "tousle": 0.35, "lock": (10, 0.5), "wisps": (260, 0.3, 0.0015),
+    "stray": 0.0025, "roughness": 0.32, "under_hat": True,
 }  # fmt: skip
 _SWEPT: dict[str, Any] = {
     "points": 10, "count": 30000, "lift": 0.35, "reach": 0.2, "gravity": 0.15, "volume": 0.012,
-    "tousle": 0.2, "wisps": (200, 0.7, 0.003), "stray": 0.003, "under_hat": True,
+    "tousle": 0.2, "wisps": (220, 0.7, 0.0015), "stray": 0.003, "under_hat": True,
 }  # fmt: skip
 _FALLING: dict[str, Any] = {
     "length": (0.46, 0.52), "points": 18, "count": 25000, "parted": True, "volume": 0.020,
-    "lift": 0.3, "stray": 0.006, "under_hat": True,
+    "lift": 0.3, "stray": 0.0045, "under_hat": True,
 }  # fmt: skip
 _COILY: dict[str, Any] = {
-    "points": 12, "count": 34000, "radius": 6.5e-5, "lift": 1.0, "reach": 9, "gravity": 0.0,
-    "stiffness": 0.9, "volume": 0, "flat": 0.0, "lock": (18, 0.6), "wisps": (0, 0, 0),
+    "points": 12, "count": 46000, "radius": 6.5e-5, "lift": 1.0, "reach": 9, "gravity": 0.0,
+    "stiffness": 0.9, "volume": 0, "flat": 0.0, "lock": (40, 0.18), "wisps": (0, 0, 0),
     "roughness": 0.4, "sides": 0.85,
 }  # fmt: skip
 _GATHERED: dict[str, Any] = {
@@ -146,7 +146,7 @@ STYLES: dict[str, Style] = {
     ),
     "fade": Style(
         Popularity(0.03, 1.3, (1.0, 1.0, 1.2), _YOUNG), combed_forward, (0.026, 0.05), sides=0.15,
-        fade=_SKIN_FADE, **{**_SHORT, "count": 38000, "tousle": 0.6},
+        fade=_SKIN_FADE, **{**_SHORT, "count": 40000, "tousle": 0.4},
     ),
     # Losing hair
     "receding": Style(

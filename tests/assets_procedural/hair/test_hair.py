@@ -174,3 +174,21 @@ def test_roots_follow_the_asked_density(identity):
     assert len(roots) == 500
     assert (roots.of(identity.model.template)[:, 0] > 0).all()
     assert np.allclose(roots.barycentric.sum(axis=1), 1)
+
+
+@pytest.mark.parametrize("style", ["boxed", "full", "long"])
+def test_a_beard_fades_out_on_the_cheek(identity, style):
+    person = Person(beard=Beard(style=style, length_mm=8))
+    (piece,) = beards.beard(person, identity, np.random.default_rng(2))
+    points = piece.place(identity.neutral)
+    roots = points[:, 0]
+    x = np.abs(roots[:, 0])
+    cheek = (x > 0.035) & (x < 0.05) & (roots[:, 1] < -0.06)
+    z = roots[cheek, 2]
+    dense, _ = np.histogram(z, np.arange(0.55, 0.70, 0.002))
+    peak = dense[np.argmax(dense) :] / dense.max()
+    # From dense to single hairs over more than a centimetre, and the outer hairs are shorter.
+    assert 0.002 * np.count_nonzero((peak < 0.8) & (peak > 0.03)) > 0.010
+    length = np.linalg.norm(np.diff(points[cheek], axis=1), axis=-1).sum(axis=1)
+    outer, middle = z > np.quantile(z, 0.97), z < np.quantile(z, 0.7)
+    assert np.median(length[outer]) < 0.9 * np.median(length[middle])

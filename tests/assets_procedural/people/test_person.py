@@ -53,7 +53,7 @@ def test_deterministic_and_survives_json() -> None:
 
 
 def test_all_values_are_in_range(crowd: list[Person]) -> None:
-    not_shares = {"style", "colour", "parting", "dye", "regrowth_mm", "seed"}
+    named = {"style", "colour", "parting", "dye", "regrowth_mm", "seed"}
     for person in crowd:
         assert 0.0 <= person.hair.regrowth_mm <= 60.0
         assert 18.0 <= person.age_years <= 85.0
@@ -66,7 +66,7 @@ def test_all_values_are_in_range(crowd: list[Person]) -> None:
         assert person.age_group == age_group(person.age_years)
         unit = [
             *(person.skin.model_dump(exclude={"moles", "seed"}).values()),
-            *(person.hair.model_dump(exclude=not_shares).values()),
+            *(person.hair.model_dump(exclude=named).values()),
             *(person.hair.dye or ()),
             person.eyes.limbus, person.eyes.redness, person.brows.thickness, person.brows.density,
             person.beard.density,
