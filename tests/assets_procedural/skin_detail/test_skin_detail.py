@@ -92,10 +92,11 @@ def test_the_same_person_has_the_same_skin(model: HeadModel) -> None:
 
 
 def test_freckles_moles_spots_and_liner_are_drawn(model: HeadModel) -> None:
-    clear = {"blemishes": 0.0, "melanin": 0.6}
-    bare = marks(Person(age_years=25, skin=Skin(**clear)), model)[0].sum()
-    for skin in ({"freckles": 0.5}, {"moles": 3}, {"blemishes": 0.8}):
-        assert marks(Person(age_years=25, skin=Skin(**(clear | skin))), model)[0].sum() > bare + 10
-    assert marks(Person(age_years=80, skin=Skin(**clear)), model)[0].sum() > bare + 10
-    lined = Person(age_years=25, skin=Skin(**clear), makeup=Makeup(liner=1.0))
+    clear = Skin(blemishes=0.0, melanin=0.6)
+    bare = marks(Person(age_years=25, skin=clear), model)[0].sum()
+    for change in ({"freckles": 0.5}, {"moles": 3}, {"blemishes": 0.8}):
+        marked = Person(age_years=25, skin=clear.model_copy(update=change))
+        assert marks(marked, model)[0].sum() > bare + 10
+    assert marks(Person(age_years=80, skin=clear), model)[0].sum() > bare + 10
+    lined = Person(age_years=25, skin=clear, makeup=Makeup(liner=1.0))
     assert marks(lined, model)[0].sum() > bare + 100
