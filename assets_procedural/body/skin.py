@@ -109,7 +109,9 @@ def skin_fields(person: Person, model: HeadModel) -> SkinFields:
     roughness = roughness + zone["lips"] * (0.34 - roughness)
     roughness = roughness + 0.15 * inside
     roughness = roughness + zone["mouth_interior"] * (0.2 - roughness)
-    sebum = (0.08 + 0.2 * skin.oiliness) * (0.55 + 0.9 * zone["t_zone"] - 0.25 * zone["neck"])
+    # The same sheen shows more on dark skin, which scatters less.
+    sebum = (0.08 + 0.2 * skin.oiliness) * (1 + 0.5 * skin.melanin)
+    sebum = sebum * (0.55 + 0.9 * zone["t_zone"] - 0.25 * zone["neck"])
     sebum = np.maximum(sebum, 0.3 * zone["lips"]) * (1 - 0.7 * inside)
     for paint, strength in _painted(person, zone, model):
         colour += strength[:, None] * (paint - colour)
@@ -120,8 +122,10 @@ def skin_fields(person: Person, model: HeadModel) -> SkinFields:
     pores = 0.48 + 0.52 * np.maximum.reduce([0.5 * zone["t_zone"], zone["nose"], inner])
     pores *= (1 - 0.75 * zone["eyelids"]) * (1 - 0.6 * zone["lips"]) * (0.68 + 0.45 * age)
     pores *= 1 - 0.2 * powder - 0.2 * zone["neck"]
-    # The face, which is out in all weathers, is the most uneven.
-    mottling = 0.85 + 0.15 * (zone["cheeks"] + zone["nose"] + zone["chin"])
+    # The face, which is out in all weathers, is the most uneven, and more so with the years.
+    mottling = (
+        0.68 + 0.25 * age - 0.25 * powder + 0.15 * (zone["cheeks"] + zone["nose"] + zone["chin"])
+    )
     mottling = mottling - 0.45 * np.maximum(zone["neck"], zone["scalp"]) - 0.6 * zone["lips"]
     return SkinFields(
         colour=np.clip(colour, 0.005, 0.9),

@@ -87,7 +87,8 @@ def test_oil_and_pores_lie_where_skin_is_oily(model):
 def test_makeup_colours_its_place_alone(model, paint, where):
     zone = fields(model)
     bare, made_up = (
-        skin_fields(Person(makeup=Makeup(**{paint: strength})), model).colour for strength in (0, 1)
+        skin_fields(Person(makeup=Makeup.model_validate({paint: strength})), model).colour
+        for strength in (0, 1)
     )
     changed = np.abs(made_up - bare).max(axis=1) > 0.01
     assert changed.sum() > 20
