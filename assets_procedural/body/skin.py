@@ -33,7 +33,8 @@ _ROUGE = (0.40, 0.12, 0.11)
 class SkinFields:
     """Per-vertex inputs of the skin shader: `colour` (V, 3) linear, the others (V,) in [0, 1].
 
-    `sebum` is the weight of the oily coat, `pores` scales relief and specks, `stubble` shaven hair.
+    `sebum` is the weight of the oily coat, `pores` scales relief and specks, `mottling` patches
+    of blood, `stubble` shaven hair.
     """
 
     colour: np.ndarray
@@ -41,6 +42,7 @@ class SkinFields:
     sebum: np.ndarray
     lips: np.ndarray
     pores: np.ndarray
+    mottling: np.ndarray
     stubble: np.ndarray
 
 
@@ -64,8 +66,8 @@ def skin_fields(person: Person, model: HeadModel) -> SkinFields:
     blood = 0.32 + 0.58 * skin.haemoglobin
     haemoglobin = blood * (
         1
-        + 0.6 * flush[0] * zone["cheeks"]
-        + 0.65 * flush[1] * zone["nose"]
+        + 0.5 * flush[0] * zone["cheeks"]
+        + 0.55 * flush[1] * zone["nose"]
         + 0.9 * flush[2] * zone["ears"]
         + 0.45 * flush[3] * zone["chin"]
         + 0.45 * zone["eyelids"]
@@ -92,10 +94,10 @@ def skin_fields(person: Person, model: HeadModel) -> SkinFields:
     # Shaven hair: blue-grey through pale skin, stronger under dark hair, grey hair hardly shows.
     grown = person.beard.style != "none"
     dark = (0.35 + 0.65 * person.hair.melanin) * (1 - 0.7 * person.hair.grey)
-    own = 0.15 + 0.75 * np.random.default_rng([skin.seed, 4]).beta(2.0, 2.5)
+    own = 0.2 + 0.8 * np.random.default_rng([skin.seed, 4]).beta(2.0, 2.5)
     shaven = (0.4 + 0.6 * person.beard.density) if grown else own * dark
     shadow = male * shaven * zone["beard"] * (person.age_years > ADULT - 2)
-    colour *= 1 - 0.36 * shadow[:, None] * np.array([1.0, 0.90, 0.74])
+    colour *= 1 - 0.5 * shadow[:, None] * np.array([1.0, 0.88, 0.68])
 
     # Hair stubble within the skin: without it, partings and short cuts show a bare scalp.
     inside = np.clip(hairline_distance(model.template, person) / 7, 0, 1) * zone["scalp"]
@@ -108,7 +110,9 @@ def skin_fields(person: Person, model: HeadModel) -> SkinFields:
     roughness = roughness + zone["lips"] * (0.34 - roughness)
     roughness = roughness + 0.15 * inside
     roughness = roughness + zone["mouth_interior"] * (0.2 - roughness)
-    sebum = (0.08 + 0.2 * skin.oiliness) * (0.55 + 0.9 * zone["t_zone"] - 0.25 * zone["neck"])
+    # The same sheen shows more on dark skin, which scatters less.
+    sebum = (0.08 + 0.2 * skin.oiliness) * (1 + 0.5 * skin.melanin)
+    sebum = sebum * (0.55 + 0.9 * zone["t_zone"] - 0.25 * zone["neck"])
     sebum = np.maximum(sebum, 0.3 * zone["lips"]) * (1 - 0.7 * inside)
     for paint, strength in _painted(person, zone, model):
         colour += strength[:, None] * (paint - colour)
@@ -116,15 +120,21 @@ def skin_fields(person: Person, model: HeadModel) -> SkinFields:
     sebum = sebum * (1 - 0.4 * powder * (1 - zone["lips"]))
 
     inner = np.clip(zone["cheeks"] * smoothstep(0.058, 0.036, np.abs(model.template[:, 0])), 0, 1)
-    pores = 0.5 + 0.5 * np.maximum.reduce([zone["t_zone"], zone["nose"], inner])
+    pores = 0.48 + 0.52 * np.maximum.reduce([0.5 * zone["t_zone"], zone["nose"], inner])
     pores *= (1 - 0.75 * zone["eyelids"]) * (1 - 0.6 * zone["lips"]) * (0.68 + 0.45 * age)
     pores *= 1 - 0.2 * powder - 0.2 * zone["neck"]
+    # The face, which is out in all weathers, is the most uneven, and more so with the years.
+    mottling = (
+        0.68 + 0.25 * age - 0.25 * powder + 0.15 * (zone["cheeks"] + zone["nose"] + zone["chin"])
+    )
+    mottling = mottling - 0.45 * np.maximum(zone["neck"], zone["scalp"]) - 0.6 * zone["lips"]
     return SkinFields(
         colour=np.clip(colour, 0.005, 0.9),
         roughness=np.clip(roughness, 0.15, 0.8),
         sebum=np.clip(sebum, 0, 1),
         lips=np.clip(zone["lips"], 0, 1),
         pores=np.clip(pores, 0, 1),
+        mottling=np.clip(mottling, 0, 1),
         stubble=np.clip(shadow, 0, 1),
     )
 
@@ -137,7 +147,7 @@ def _painted(
     # Paints are chosen to go with the skin: what is deep on pale skin is bright on dark.
     deep = 1 - 0.6 * person.skin.melanin
     x, _, z = np.abs(model.template.T)
-    lid = zone["eyelids"] * smoothstep(0.7255, 0.7325, z) * smoothstep(0.7475, 0.736, z)
+    lid = zone["eyelids"] * smoothstep(0.7255, 0.7325, z) * smoothstep(0.744, 0.735, z)
     apple = smoothstep(
         1, 0.2, np.hypot((x - 0.049) / 0.022, (z - 0.7 - 0.35 * (x - 0.049)) / 0.015)
     )
@@ -145,5 +155,5 @@ def _painted(
     return [
         (deep * np.array(makeup.lip_colour), 0.8 * makeup.lipstick * zone["lips"]),
         (deep * np.array(makeup.lid_colour), 0.5 * makeup.eyeshadow * lid),
-        (deep * np.array(_ROUGE), 0.35 * makeup.blush * apple),
+        (deep * np.array(_ROUGE), 0.25 * makeup.blush * apple),
     ]

@@ -80,11 +80,8 @@ def _build_skin(person: Person, identity: Identity) -> tuple[Subdivision, bpy.ty
     shown = ~tops.covered_skin(person, identity)
     quads = model.faces["skin"][shown]
     subdivision = catmull_clark(quads, len(model.template))
-    fields = skin_fields(person, model)
-    vertex = {
-        name: subdivision.matrix @ getattr(fields, name)
-        for name in ("colour", "roughness", "sebum", "lips", "pores", "stubble")
-    }
+    surface = vars(skin_fields(person, model))
+    vertex = {name: subdivision.matrix @ value for name, value in surface.items()}
     vertex["rest"] = subdivision.matrix @ model.template
     around = chart.project(vertex["rest"])
     vertex["chart"] = np.concatenate([around, np.zeros((len(around), 1))], axis=1)

@@ -36,20 +36,21 @@ def skin(parameters: Skin) -> bpy.types.Material:
     )  # fmt: skip
     pores = graph.scalar("pores")
 
-    def tinted(colour: Socket, value: Socket, low: float, high: float, *tones: Socket) -> Socket:
-        """Multiply by a tone that goes from the first to the second as `value` rises."""
-        tone = graph.mix(graph.stretch(value, low, high, (0, 1)), *tones)
-        return graph.mix(1.0, colour, tone, "MULTIPLY")
+    def tinted(colour: Socket, amount: Socket, value: Socket, *tones: Socket) -> Socket:
+        """Multiply by a tone that goes from the first to the second as noise rises."""
+        tone = graph.mix(graph.stretch(value, 0.35, 0.66, (0, 1)), *tones)
+        return graph.mix(amount, colour, tone, "MULTIPLY")
 
     # Blood in patches of centimetres, pigment at 5 to 15 mm, dark mouths of pores. Dark skin hides
     # its blood and is the more uneven in pigment.
     colour = graph.attribute("colour").outputs["Color"]
-    flush = graph.noise(place, 48, detail=4, rough=0.68)
+    flush = graph.noise(place, 48, detail=4, rough=0.6)
     blood = (1 - 0.5 * parameters.melanin) * HAEMOGLOBIN
-    colour = tinted(colour, flush, 0.35, 0.66, _tone(0.30 * blood), _tone(-0.42 * blood))
+    mottling = graph.scalar("mottling")
+    colour = tinted(colour, mottling, flush, _tone(0.26 * blood), _tone(-0.38 * blood))
     tan = graph.noise(graph.combine("ADD", place, (3.1, 1.7, 0.4)), 118, detail=5, rough=0.8)
-    pigment = (0.055 + 0.04 * parameters.melanin) * MELANIN
-    colour = tinted(colour, tan, 0.35, 0.65, _tone(-pigment), _tone(0.6 * pigment))
+    pigment = (0.066 + 0.045 * parameters.melanin) * MELANIN
+    colour = tinted(colour, 1.0, tan, _tone(-pigment), _tone(0.6 * pigment))
     specks = graph.noise(place, 620, detail=1)
     amount = graph.math("MULTIPLY", graph.stretch(specks, 0.58, 0.72, (0, 0.6)), pores)
     colour = graph.mix(amount, colour, graph.mix(1.0, colour, (0.82, 0.74, 0.70), "MULTIPLY"))
