@@ -7,7 +7,7 @@ from typing import Any
 from synthgen.stage.nodes import Graph
 from synthgen.stage.shading import colour_of, texture
 
-_IRIS_GAIN = 1.8
+_IRIS_GAIN = 1.7
 # What little light gets under the lids has been reflected by skin.
 _LID_SHADE = (0.30, 0.19, 0.15)
 
