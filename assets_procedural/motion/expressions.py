@@ -12,8 +12,7 @@ Actions = dict[str, float]
 MOODS: dict[str, Actions] = {
     "neutral": {},
     "soft_smile": {
-        "mouthSmile": 0.32, "mouthDimple": 0.12, "cheekSquint": 0.12, "eyeSquint": 0.1,
-        "mouthPress": 0.08,
+        "mouthSmile": 0.45, "mouthDimple": 0.12, "cheekSquint": 0.18, "eyeSquint": 0.12,
     },
     "smile": {"mouthSmile": 0.8, "cheekSquint": 0.4, "eyeSquint": 0.2, "mouthDimple": 0.2},
     "grin": {
@@ -133,8 +132,8 @@ VOWELS = ("a", "e", "i", "o", "u")
 CONSONANTS = tuple(name for name in VISEMES if name not in VOWELS)
 
 _REST = {
-    "mouthSmile": 0.25, "mouthPress": 0.2, "eyeSquint": 0.25, "browOuterUp": 0.25,
-    "browInnerUp": 0.15, "mouthDimple": 0.15, "mouthShrugLower": 0.15, "cheekSquint": 0.1,
+    "mouthSmile": 0.35, "mouthPress": 0.1, "eyeSquint": 0.25, "browOuterUp": 0.25,
+    "browInnerUp": 0.15, "mouthDimple": 0.12, "mouthShrugLower": 0.08, "cheekSquint": 0.1,
     "mouthLeft": 0.06, "mouthRight": 0.06,
 }  # fmt: skip
 

@@ -21,9 +21,9 @@ HAIR_COLOURS = ("black", "brown", "blond", "red", "grey")
 
 # Linear Rec.709 reflectances of irises, dark to light.
 _IRISES: dict[str, Colour] = {
-    "dark_brown": (0.045, 0.022, 0.012),
-    "brown": (0.115, 0.055, 0.025),
-    "amber": (0.22, 0.11, 0.035),
+    "dark_brown": (0.038, 0.02, 0.012),
+    "brown": (0.085, 0.043, 0.021),
+    "amber": (0.16, 0.085, 0.033),
     "hazel": (0.16, 0.12, 0.05),
     "green": (0.13, 0.16, 0.085),
     "grey": (0.17, 0.19, 0.2),

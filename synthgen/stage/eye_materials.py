@@ -7,7 +7,7 @@ from typing import Any
 from synthgen.stage.nodes import Graph
 from synthgen.stage.shading import colour_of, texture
 
-_IRIS_GAIN = 1.8
+_IRIS_GAIN = 1.7
 # What little light gets under the lids has been reflected by skin.
 _LID_SHADE = (0.30, 0.19, 0.15)
 
@@ -19,7 +19,7 @@ def eye(graph: Graph, parameters: dict[str, Any]) -> tuple[Any, Any]:
     limbus = parameters["iris_angle"]
     radial = graph.scalar("radial")
     gain = graph.stretch(radial, 0.7 * limbus, 1.05 * limbus, (_IRIS_GAIN, 1.0))
-    gain = graph.math("MULTIPLY", gain, graph.stretch(radial, 1.25 * limbus, 1.15, (1.0, 0.62)))
+    gain = graph.math("MULTIPLY", gain, graph.stretch(radial, 1.2 * limbus, 1.1, (0.95, 0.55)))
     lit = graph.mix(
         1.0, colour, graph.node("CombineColor", {0: gain, 1: gain, 2: gain}).outputs[0], "MULTIPLY"
     )

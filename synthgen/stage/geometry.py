@@ -56,7 +56,7 @@ def visible(pixels: np.ndarray, depth: np.ndarray, surface: np.ndarray) -> np.nd
 
 
 def canonical_mesh(person: Person, identity: Identity, figure: Figure) -> bytes:
-    """The neutral bust with its surfaces (no strands) as binary glTF, metres, Y up."""
+    """The neutral bust with its opaque surfaces (no strands) as binary glTF, metres, Y up."""
     colour = to_bytes(srgb_encode(skin_fields(person, identity.model).colour))
     whole = trimesh.Scene()
     skin = _triangles(identity.rest, identity.model.faces["skin"])
@@ -64,7 +64,7 @@ def canonical_mesh(person: Person, identity: Identity, figure: Figure) -> bytes:
     skin.remove_unreferenced_vertices()
     whole.add_geometry(skin, geom_name="skin")
     for piece, _ in figure.pieces:
-        if isinstance(piece, MeshPiece):
+        if isinstance(piece, MeshPiece) and not piece.hidden_from_labels:
             mesh = _triangles(piece.place(identity.neutral), piece.faces)
             base = np.clip(piece.parameters.get("colour", (0.5, 0.5, 0.5)), 0, 1)
             mesh.visual = trimesh.visual.ColorVisuals(

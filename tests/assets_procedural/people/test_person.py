@@ -11,6 +11,7 @@ import pytest
 from pydantic import ValidationError
 
 from assets_procedural.hair.beard_styles import BEARDS
+from assets_procedural.hair.facial_hair import BROWS
 from assets_procedural.hair.styles import STYLES
 from assets_procedural.outfit.fabrics import FABRICS
 from assets_procedural.outfit.glasses import SHAPES
@@ -76,6 +77,7 @@ def test_all_values_are_in_range(crowd: list[Person]) -> None:
         assert all(0.0 < c <= 1.0 for c in (*person.eyes.iris, *person.top.colour))
         assert 2.0 <= person.eyes.pupil_mm <= 6.0 and -1.0 <= person.hair.parting <= 1.0
         assert person.skin.moles >= 0
+        assert person.brows.style in BROWS
 
 
 def _targets() -> Path | None:
