@@ -124,9 +124,8 @@ def skin_fields(person: Person, model: HeadModel) -> SkinFields:
     pores *= (1 - 0.75 * zone["eyelids"]) * (1 - 0.6 * zone["lips"]) * (0.68 + 0.45 * age)
     pores *= 1 - 0.2 * powder - 0.2 * zone["neck"]
     # The face, which is out in all weathers, is the most uneven, and more so with the years.
-    mottling = (
-        0.68 + 0.25 * age - 0.25 * powder + 0.15 * (zone["cheeks"] + zone["nose"] + zone["chin"])
-    )
+    mottling = 0.6 + 0.25 * age + 0.15 * (zone["cheeks"] + zone["nose"] + zone["chin"])
+    mottling = mottling * (0.45 + person.skin.blemishes) - 0.25 * powder
     mottling = mottling - 0.45 * np.maximum(zone["neck"], zone["scalp"]) - 0.6 * zone["lips"]
     return SkinFields(
         colour=np.clip(colour, 0.005, 0.9),

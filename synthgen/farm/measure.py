@@ -92,7 +92,11 @@ def _rounds(plan: Plan, kind: Kind) -> list[SubjectPlan]:
     sizes = [(1, 1), (MOST, 1), (1, most)]
     rounds = [
         subject.model_copy(
-            update={"shots": subject.shots[:shots], "environments": subject.environments[:lights]}
+            update={
+                "shots": subject.shots[:shots],
+                "environments": subject.environments[:lights],
+                "keys": subject.keys[:lights],
+            }
         )
         for subject in small
         for shots, lights in sizes

@@ -19,7 +19,7 @@ def eye(graph: Graph, parameters: dict[str, Any]) -> tuple[Any, Any]:
     limbus = parameters["iris_angle"]
     radial = graph.scalar("radial")
     gain = graph.stretch(radial, 0.7 * limbus, 1.05 * limbus, (_IRIS_GAIN, 1.0))
-    gain = graph.math("MULTIPLY", gain, graph.stretch(radial, 1.2 * limbus, 1.1, (0.95, 0.55)))
+    gain = graph.math("MULTIPLY", gain, graph.stretch(radial, 1.2 * limbus, 1.1, (0.97, 0.66)))
     lit = graph.mix(
         1.0, colour, graph.node("CombineColor", {0: gain, 1: gain, 2: gain}).outputs[0], "MULTIPLY"
     )

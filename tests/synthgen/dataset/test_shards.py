@@ -27,7 +27,8 @@ JOB = fake_renderer.small_job()
 
 @pytest.fixture
 def shot() -> Shot:
-    subject = plan(JOB).subject("multiview", 0)
+    # No panorama is read where none is turned.
+    subject = plan(JOB).subject("multiview", 0).model_copy(update={"keys": ()})
     return fake_renderer.render_subject(subject, JOB, Path("nowhere/environments"), "cpu", 1).shots[
         0
     ]

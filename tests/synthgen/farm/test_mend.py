@@ -6,6 +6,7 @@ import json
 import os
 import shutil
 import signal
+import tarfile
 import tempfile
 import time
 from collections.abc import Callable
@@ -243,13 +244,15 @@ def test_a_panorama_that_is_made_otherwise_now_is_refused(
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize("position", [1000, -5000])
+@pytest.mark.parametrize("member", [0, -1])
 def test_one_damaged_subject_of_a_shard_is_rendered_again(
-    whole: Path, copy: Callable[[Path], Path], position: int
+    whole: Path, copy: Callable[[Path], Path], member: int
 ):
     out = copy(whole)
     tar = out / "data" / SHARD
-    flip(tar, position % tar.stat().st_size)
+    with tarfile.open(tar) as archive:
+        inside = archive.getmembers()[member].offset_data
+    flip(tar, inside + 10)
     assert len(verify(out)) > 0
     summary = render(out)
     assert (summary.complete, summary.rendered, len(summary.mended)) == (True, 1, 1)
