@@ -36,7 +36,7 @@ def lid_shade(graph: Graph, _: dict[str, Any]) -> tuple[Any, Any]:
         "MULTIPLY", graph.scalar("shade"), graph.node("LightPath").outputs["Is Camera Ray"]
     )
     tint = graph.mix(seen, (1.0, 1.0, 1.0), _LID_SHADE)
-    return graph.node("BsdfTransparent", {"Color": tint}).outputs[0], (0.0, 0.0, 0.0)
+    return graph.node("BsdfTransparent", {"Color": tint}).outputs[0], None
 
 
 def clear(graph: Graph, parameters: dict[str, Any]) -> tuple[Any, Any]:
@@ -44,18 +44,22 @@ def clear(graph: Graph, parameters: dict[str, Any]) -> tuple[Any, Any]:
     tint = max(0.0, 1.0 - parameters.get("tint", 0.0))
     through = graph.node("BsdfTransparent", {"Color": (tint, tint, tint)})
     gloss = graph.node("BsdfGlossy", {"Roughness": parameters.get("roughness", 0.02)})
-    # The Fresnel node inverts the index on back faces: light that leaves the film would be
-    # reflected totally. Nothing is refracted here, so both sides reflect alike.
-    ior = parameters.get("ior", 1.376)
-    back = graph.node("NewGeometry").outputs["Backfacing"]
-    index = graph.math("ADD", graph.math("MULTIPLY", back, 1 / ior - ior), ior)
-    fresnel = graph.node("Fresnel", {"IOR": index}).outputs[0]
+    fresnel = film_fresnel(graph, parameters.get("ior", 1.376))
     lit = graph.node("MixShader", {0: fresnel, 1: through.outputs[0], 2: gloss.outputs[0]})
     # What lies behind gets the same light whether Cycles samples the light or the surface.
     path = graph.node("LightPath")
     gather = graph.math("MAXIMUM", path.outputs["Is Shadow Ray"], path.outputs["Is Diffuse Ray"])
     clear = graph.node("MixShader", {0: gather, 1: lit.outputs[0], 2: through.outputs[0]})
-    return clear.outputs[0], (tint, tint, tint)
+    return clear.outputs[0], None
+
+
+def film_fresnel(graph: Graph, ior: float) -> Any:
+    """The share of light that a thin film reflects."""
+    # The Fresnel node inverts the index on back faces: light that leaves the film would be
+    # reflected totally. Nothing is refracted here, so both sides reflect alike.
+    back = graph.node("NewGeometry").outputs["Backfacing"]
+    index = graph.math("ADD", graph.math("MULTIPLY", back, 1 / ior - ior), ior)
+    return graph.node("Fresnel", {"IOR": index}).outputs[0]
 
 
 def enamel(graph: Graph, parameters: dict[str, Any]) -> tuple[Any, Any]:

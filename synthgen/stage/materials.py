@@ -39,10 +39,9 @@ def surface(kind: str, parameters: dict[str, Any], part: Socket) -> bpy.types.Ma
     """
     material, graph = new_material(kind)
     part = graph.scalar("part") if part is None else part
-    build = _SURFACES[kind]
-    shader, albedo = build(graph, parameters)
+    shader, albedo = _SURFACES[kind](graph, parameters)
     graph.output(shader)
-    if build is not eye_materials.clear:  # labels are of what is behind
+    if albedo is not None:  # else labels are of what is behind
         write_labels(graph, shader, albedo, part)
     return material
 
@@ -75,10 +74,10 @@ def _shade(graph: Graph, parameters: dict[str, Any]) -> tuple[Any, Any]:
     clear = graph.node("BsdfTransparent", {"Color": through}).outputs[0]
     coat = tuple(float(c) for c in 0.4 + 0.6 * hue) if parameters["mirror"] else (1.0, 1.0, 1.0)
     gloss = graph.node("BsdfGlossy", {"Color": coat, "Roughness": 0.03}).outputs[0]
-    fresnel = graph.node("Fresnel", {"IOR": parameters.get("ior", 1.5)}).outputs[0]
+    fresnel = eye_materials.film_fresnel(graph, parameters.get("ior", 1.5))
     thrown = graph.math("MAXIMUM", fresnel, parameters["mirror"])
     shader = graph.node("MixShader", {0: thrown, 1: clear, 2: gloss}).outputs[0]
-    return shader, through
+    return shader, None
 
 
 _SURFACES = {
