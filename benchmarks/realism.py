@@ -316,10 +316,10 @@ def measure_identity(different: list[Face], same: list[Face], dlib: Dlib) -> Fig
     return figures
 
 
-def measure(folder: Path) -> Figures:
-    """All figures of a dataset of the job `realism`."""
+def measure(folder: Path, portraits_of: str, identities_of: str) -> Figures:
+    """All figures of a dataset: of one subset single pictures, of another different people."""
     detector = Detector()
-    portraits = list(pictures(open_dataset(folder, subset="portraits"), "portraits", detector))
+    portraits = list(pictures(open_dataset(folder, subset=portraits_of), portraits_of, detector))
     faces = [face for _, face in portraits if face is not None]
     subjects: dict[str, Frame] = {}
     for frame, _ in portraits:  # the first of each person comes first
@@ -327,8 +327,10 @@ def measure(folder: Path) -> Figures:
     firsts = [face for face in faces if face.view == face.light == 0]
     landmarker = FaceLandmarker(fetch("face_landmarker"))
     figures = measure_portraits(list(subjects.values()), firsts, detector, landmarker)
-    identities = pictures(open_dataset(folder, subset="identities"), "identities", detector)
-    different = [face for _, face in identities if face is not None]
+    different = firsts
+    if identities_of != portraits_of:
+        identities = pictures(open_dataset(folder, subset=identities_of), identities_of, detector)
+        different = [face for _, face in identities if face and face.view == face.light == 0]
     figures.values |= measure_identity(different, faces, Dlib()).values
     return figures
 
@@ -350,9 +352,11 @@ def _progress(items: Iterable, name: str) -> Iterator:
 def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("dataset", type=Path)
+    parser.add_argument("--portraits", default="portraits", help="the subset of single pictures")
+    parser.add_argument("--identities", default="identities", help="that of different people")
     options = parser.parse_args()
     try:
-        figures = measure(options.dataset)
+        figures = measure(options.dataset, options.portraits, options.identities)
     except ModuleNotFoundError as error:
         print(f"{error.name} is not installed; run: make benchmark-setup", file=sys.stderr)
         return 1

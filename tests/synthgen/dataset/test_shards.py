@@ -161,7 +161,7 @@ DAMAGE = {
     "unknown part ids": lambda s: s.parts.__setitem__(s.parts == 1, 77),
     "depth is not positive": lambda s: s.depth.__setitem__((0, 0), 1.0),
     "normal is not 0 in the background": lambda s: s.normal.__setitem__((0, 0), 1.0),
-    "median |n|": _shrink,
+    "normals of skin are": _shrink,
     "longer than alpha": lambda s: s.__setattr__("normal", s.normal * np.float16(1.04)),
     "degrees off the depth": _flip,
     "off their projection": _move,
