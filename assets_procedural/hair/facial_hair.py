@@ -22,8 +22,8 @@ from assets_procedural.person import Person
 
 # Brow: distance from the middle (m) → height of its axis in template space, half width.
 _BROW_X = np.array([0.009, 0.016, 0.024, 0.032, 0.039, 0.046, 0.054])
-_BROW_Z = np.array([0.7450, 0.7457, 0.7463, 0.7468, 0.7469, 0.7455, 0.7418])
-_BROW_HALF = np.array([0.0036, 0.0046, 0.0045, 0.0040, 0.0033, 0.0024, 0.0011])
+_BROW_Z = np.array([0.7464, 0.7465, 0.7467, 0.7469, 0.7469, 0.7455, 0.7418])
+_BROW_HALF = np.array([0.0042, 0.0046, 0.0045, 0.0040, 0.0033, 0.0024, 0.0011])
 _BROW_MIDDLE, _BROW_PEAK = 0.030, 0.038
 
 

@@ -35,7 +35,7 @@ def test_brows_are_no_angry_v_and_lie_near_the_eye():
         figures.append(brow_figures(person, model.identity(person)))
     slope, gap = np.median(figures, axis=0)
     assert -0.045 < slope < 0.02  # over all hairs; their upper contour is flatter
-    assert 0.16 < gap < 0.23
+    assert 0.13 < gap < 0.21  # from the middle of the hairs, a little less than networks see
 
 
 def test_families_of_brows_differ():
