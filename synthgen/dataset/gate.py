@@ -137,7 +137,10 @@ def inspect(shot: Shot, format: int = FORMAT) -> tuple[list[str], dict[str, floa
             (excess := _normal_excess(shot, format)) <= NORMAL_EXCESS,
             f"a normal is {excess:.3f} longer than alpha",
         ),
-        (abs(f("normal_length") - 1) <= NORMAL_LENGTH, f"normals of skin are {f('normal_length'):.3f} long"),
+        (
+            abs(f("normal_length") - 1) <= NORMAL_LENGTH,
+            f"normals of skin are {f('normal_length'):.3f} long",
+        ),
         (
             f("normal_angle") <= NORMAL_ANGLE,
             f"normals are {f('normal_angle'):.0f} degrees off the depth",

@@ -128,6 +128,16 @@ def test_gate_passes_the_sphere(shot: Shot):
     assert 0.99 < quality["normal_length"] < 1.01
 
 
+def test_strands_in_front_of_skin_are_no_fault(shot: Shot):
+    rng = np.random.default_rng(0)
+    veiled = rng.random(shot.parts.shape) < 0.7
+    # A pixel that shows strands and skin has the mean of their normals: askew, and short.
+    shot.normal[veiled] = (rng.normal(0, 0.4, (veiled.sum(), 3)) * 0.8).clip(-0.45, 0.45)
+    shot.normal[shot.parts == 0] = 0
+    problems, _ = inspect(shot)
+    assert problems == []
+
+
 def _flip(shot: Shot) -> None:
     shot.normal = -shot.normal
 
