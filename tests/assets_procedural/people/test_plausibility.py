@@ -88,5 +88,6 @@ def test_measures_of_faces_are_those_of_people(sex: str) -> None:
     real = {"nose length": 51, "mouth width": 51, "between eyes": 33, "eye width": 31}
     for name, expected in real.items():
         assert mean[name] == pytest.approx(expected, rel=0.12), name
+    # Data wants its faces to differ somewhat more than people do.
     for name in ("nose length", "mouth width", "face height", "chin"):
-        assert 0.6 * DEVIATION[name] < deviation[name] < 1.6 * DEVIATION[name], name
+        assert 0.6 * DEVIATION[name] < deviation[name] < 1.75 * DEVIATION[name], name
