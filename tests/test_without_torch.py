@@ -1,4 +1,4 @@
-"""Rendering, planning, reading and browsing need neither torch nor Anny."""
+"""Rendering, planning and browsing need neither torch nor Anny; the core, not even scipy."""
 
 from __future__ import annotations
 
@@ -42,3 +42,26 @@ def test_all_that_rendering_takes_works_without_torch_and_anny():
     assert done.returncode == 0, done.stderr
     imported = set(done.stdout.split())
     assert {"synthgen.cli", "synthgen.farm.worker", "synthgen.planning.plan"} <= imported
+
+
+_CORE = """
+import sys
+
+class Absent:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in ("scipy", "torch", "trimesh", "colour", "OpenImageIO"):
+            raise ModuleNotFoundError(f"{name} is not to be imported", name=name)
+
+sys.meta_path.insert(0, Absent())
+from synthgen import open_dataset
+from synthgen.cli import app
+from typer.testing import CliRunner
+
+done = CliRunner().invoke(app, ["plan", "demo"])
+assert done.exit_code == 0, repr(done.exception)
+"""
+
+
+def test_planning_and_reading_work_with_the_core_dependencies_alone():
+    done = subprocess.run([sys.executable, "-c", _CORE], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr + done.stdout

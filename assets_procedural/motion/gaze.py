@@ -7,7 +7,6 @@ head is (pitch, roll, yaw) as `Pose` has them; attention is (yaw, pitch) against
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 # The middle of the eyes from the head's centre (m), over people.
 _EYES = np.array([0.0, -0.067, 0.002])
@@ -15,9 +14,20 @@ _EYES = np.array([0.0, -0.067, 0.002])
 
 def aim(lens: np.ndarray, head: np.ndarray) -> np.ndarray:
     """The gaze (2,) that meets a lens (3,), metres from the head's centre in the trunk's frame."""
-    turn = Rotation.from_euler("xyz", head)
-    x, y, z = turn.inv().apply(lens) - _EYES
+    x, y, z = lens @ _turn(head) - _EYES
     return np.array([np.arctan2(x, -y), np.arctan2(z, np.hypot(x, y))])
+
+
+def _turn(head: np.ndarray) -> np.ndarray:
+    """The rotation (3, 3) of a head: pitch about x, then roll about y, then yaw about z.
+
+    By hand: a plan needs it and does without scipy.
+    """
+    (cp, cr, cy), (sp, sr, sy) = np.cos(head), np.sin(head)
+    pitch = np.array([[1, 0, 0], [0, cp, -sp], [0, sp, cp]])
+    roll = np.array([[cr, 0, sr], [0, 1, 0], [-sr, 0, cr]])
+    yaw = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
+    return yaw @ roll @ pitch
 
 
 def turn_towards(
