@@ -32,7 +32,7 @@ _LIMIT = 2.3  # standard deviations of asymmetries
 NAMES = tuple(SPREAD)
 # What one deviate of each kind adds: of a change's own, of a direction, and of those over all
 # changes that stand for what has no name.
-_OWN, _WHOLE, _PART, _REST, _REST_COUNT = 0.7, 1.35, 1.5, 1.0, 12
+_OWN, _WHOLE, _PART, _REST, _REST_COUNT = 0.6, 1.1, 1.2, 0.75, 12
 
 
 def draw_shape(

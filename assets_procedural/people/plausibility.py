@@ -29,28 +29,28 @@ DEVIATION: dict[str, float] = {
     "brow height": 2.4,
     "forehead": 5.0,
 }
-LIMIT = 2.45
+LIMIT = 2.1
 """No measure is more than so many of its deviations from the average of a subject's own kind."""
 
 # Pairs whose difference, in deviations, stays within a limit: big noses above small mouths and the
 # like are seen at once, though each alone is common.
 RELATIONS: tuple[tuple[str, str, float], ...] = (
-    ("nose width", "mouth width", 2.3),
-    ("nose width", "between eyes", 2.8),
-    ("nose length", "face height", 2.1),
-    ("nose length", "chin", 3.0),
-    ("mouth width", "face width", 2.5),
-    ("mouth width", "jaw width", 2.8),
-    ("eye width", "face width", 2.5),
-    ("eye width", "between eyes", 3.0),
-    ("eye opening", "eye width", 2.8),
-    ("face width", "jaw width", 2.5),
-    ("face width", "face height", 3.2),
-    ("philtrum", "chin", 3.0),
-    ("upper lip", "lower lip", 2.3),
-    ("philtrum", "upper lip", 3.0),
-    ("forehead", "face width", 2.3),
-    ("forehead", "face height", 3.0),
+    ("nose width", "mouth width", 2.0),
+    ("nose width", "between eyes", 2.4),
+    ("nose length", "face height", 1.8),
+    ("nose length", "chin", 2.6),
+    ("mouth width", "face width", 2.2),
+    ("mouth width", "jaw width", 2.4),
+    ("eye width", "face width", 2.2),
+    ("eye width", "between eyes", 2.6),
+    ("eye opening", "eye width", 2.4),
+    ("face width", "jaw width", 2.2),
+    ("face width", "face height", 2.8),
+    ("philtrum", "chin", 2.6),
+    ("upper lip", "lower lip", 2.0),
+    ("philtrum", "upper lip", 2.6),
+    ("forehead", "face width", 2.0),
+    ("forehead", "face height", 2.6),
 )
 _ROUNDS = 4
 _EXTREME = 3.0  # deviates of a single change
