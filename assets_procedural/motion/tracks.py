@@ -10,6 +10,7 @@ import numpy as np
 
 from assets_procedural.motion.expressions import (
     CONSONANTS,
+    MOODS,
     VISEMES,
     VOWELS,
     Actions,
@@ -27,6 +28,7 @@ from assets_procedural.motion.gaze import (
 )
 from assets_procedural.motion.poses import (
     ARKIT_NAMES,
+    Mood,
     Pose,
     PoseSettings,
     as_pose,
@@ -67,6 +69,29 @@ def sample_track(
     for k in range(frames):
         close_eyes(expression[k], lids[k])
         poses.append(as_pose(expression[k], gaze[k], head[k]))
+    return tuple(poses)
+
+
+def named_moods(
+    rng: np.random.Generator,
+    moods: tuple[Mood, ...],
+    frames: int,
+    settings: PoseSettings,
+    lens: np.ndarray | None = None,
+) -> tuple[Pose, ...]:
+    """`frames` poses that show `moods` in turn, each whole, on one person, whose habits they keep.
+
+    Heads turn as `settings` say; eyes look into the lens (as in `sample_pose`) where they can.
+    """
+    bias, rest, bounds = draw_bias(rng), draw_rest(rng), settings.gaze_bounds()
+    poses = []
+    for k in range(frames):
+        actions = blend((0.5, rest), (1.0, MOODS[moods[k % len(moods)]]))
+        head, gaze = draw_head(rng, settings), np.zeros(2)
+        if lens is not None:
+            head = turn_towards(lens, head, bounds, settings.head_ranges())
+            gaze = np.clip(aim(lens, head), bounds[:, 0], bounds[:, 1])
+        poses.append(as_pose(resolve(actions, ARKIT_NAMES, bias), gaze, head))
     return tuple(poses)
 
 
