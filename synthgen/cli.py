@@ -63,10 +63,9 @@ def jobs() -> None:
         table.add_column(column, justify="right")
     table.add_column("what for")
     for name, file in shipped_jobs().items():
-        subsets = load_job(file).subsets.values()
-        people = sum(s.subjects for s in subsets)
-        frames = sum(s.subjects * s.shots * s.environments for s in subsets)
-        table.add_row(name, f"{people:,}", f"{frames:,}", purpose(file))
+        spec = load_job(file)
+        frames = sum(s.subjects * s.shots * s.environments for s in spec.subsets.values())
+        table.add_row(name, f"{spec.different_people:,}", f"{frames:,}", purpose(file))
     console.stdout().print(table)
 
 
