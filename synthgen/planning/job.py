@@ -207,6 +207,11 @@ class JobSpec(Settings):
     lens: LensSettings = LensSettings()
     splits: SplitSettings = SplitSettings()
 
+    @property
+    def different_people(self) -> int:
+        """How many there are: those that subsets share count once."""
+        return sum(s.subjects for s in self.subsets.values() if s.people_of is None)
+
     @model_validator(mode="after")
     def _whole_pictures(self) -> JobSpec:
         if self.lens.changes_pictures and self.image.background != "environment":

@@ -264,7 +264,8 @@ class Plan:
 def plan(job: JobSpec) -> Plan:
     """The plan of a job; lists the pool of environments, renders nothing.
 
-    Raises `JobError` if a subset wants more environments per subject than the pool has.
+    Raises `JobError` if a subset wants more environments per subject than the pool has, or if
+    people cannot reach a quota.
     """
     return Plan(job, [spec.id for spec in pool(job.environments, job.seed)])
 

@@ -173,8 +173,7 @@ class PortraitPairs(EndlessDataset[PortraitPair]):
         )
 
     def _picture(self, light: Light, stored: dict[str, Any]) -> Tensor:
-        side, format = self.side, self.shots.format
-        return light.picture([shots.picture(stored[m], side, format) for m in light.members()])
+        return light.picture([self.shots.picture(stored[m], self.side) for m in light.members()])
 
     def _pair(
         self, item: int, light: Light, another: int, other: int, source: _Source
@@ -189,18 +188,18 @@ class PortraitPairs(EndlessDataset[PortraitPair]):
         origin = head_centre(stored["geometry"]["landmarks_canonical"])
         camera_to_world, intrinsics = shots.camera(meta, origin, side)
         control = shots.control(stored["geometry"], origin)
-        normal = shots.normals(stored["normal"], parts, side, self.shots.format)
+        normal = self.shots.normals(stored["normal"], parts, side)
         relit = None
         if self.relit:
             relit = Relit(
-                shots.picture(stored[rgb_relit], side, self.shots.format),
+                self.shots.picture(stored[rgb_relit], side),
                 self.shots.lightmaps(meta, another, self.rows),
             )
         return PortraitPair(
             app_image=source.image,
             app_frontal=source.frontal(control),
             mot_image=self._picture(light, stored),
-            albedo=shots.albedo(stored["albedo"], stored["alpha"], side, self.shots.format),
+            albedo=self.shots.albedo(stored["albedo"], stored["alpha"], side),
             normal=(camera_to_world[:3, :3] @ normal.flatten(1)).view_as(normal),
             alpha=shots.alpha(stored["alpha"], side),
             parts=shots.parts(parts, side),

@@ -112,14 +112,14 @@ class Portraits(EndlessDataset[Portrait]):
         stored = self.shots.read(item, name, "meta")
         frame = torch.tensor(stored["meta"]["camera"]["camera_to_world"])[:3, :3]
         maps = self.shots.lightmaps(stored["meta"], environment, self.rows, frame)
-        return shots.picture(stored[name], self.side, self.shots.format), maps
+        return self.shots.picture(stored[name], self.side), maps
 
     def _labels(self, item: int) -> tuple[Tensor, ...]:
         """Normals, alpha, parts and the fields of the truth, which all light shares."""
         stored = self.shots.read(item, "normal", "alpha", "parts", "meta")
         parts, side = stored["parts"], self.side
         return (
-            shots.normals(stored["normal"], parts, side, self.shots.format),
+            self.shots.normals(stored["normal"], parts, side),
             shots.alpha(stored["alpha"], side),
             shots.parts(parts, side),
             *self._truth(item, stored["meta"]),
