@@ -11,7 +11,7 @@ import pytest
 from pydantic import ValidationError
 
 from assets_procedural.hair.beard_styles import BEARDS
-from assets_procedural.hair.facial_hair import BROWS
+from assets_procedural.hair.brows_and_lashes import BROWS
 from assets_procedural.hair.styles import STYLES
 from assets_procedural.outfit.fabrics import FABRICS
 from assets_procedural.outfit.glasses import SHAPES
