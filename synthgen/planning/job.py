@@ -17,7 +17,7 @@ from assets_procedural.conventions.camera import LANDMARK_MARGIN, SENSOR_MM
 from assets_procedural.conventions.errors import one_line
 from assets_procedural.light.pool import EnvironmentSettings
 from assets_procedural.motion.poses import Mood, PoseSettings
-from assets_procedural.people.person_sampling import PeopleSettings
+from assets_procedural.people.people_settings import PeopleSettings
 from assets_procedural.settings import Interval, Settings, interval
 from synthgen.errors import JobError, explain
 from synthgen.planning.shipped_jobs import job_file
