@@ -232,6 +232,21 @@ def show(
     console.say(target)
 
 
+@app.command()
+def track(
+    source: Annotated[
+        Path, typer.Argument(metavar="INPUT", help="A picture, folder, video or dataset.")
+    ],
+    out: Annotated[Path, typer.Option("--out", metavar="FILE.parquet", help="Table to write.")],
+) -> None:
+    """Fit the bust to every face: motion, identity and camera. Run again to resume."""
+    from totalediting.editing import track as tracking
+
+    for note in tracking.track(source, out):
+        typer.echo(note, err=True)
+    console.say(out)
+
+
 def _print_figures(found: dict[str, dict[str, float]]) -> None:
     """Figures by stage, one a line."""
     from totalediting.training import figures
