@@ -17,6 +17,7 @@ import argparse
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import compress
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +30,7 @@ from assets_procedural.conventions.errors import UserError
 from assets_procedural.motion.poses import ARKIT_NAMES
 from synthgen.dataset import open_dataset
 from totalediting.faces import correspondences
-from totalediting.faces.correspondences import Correspondences
+from totalediting.faces.correspondences import Correspondences, looks
 from totalediting.faces.framing import on_grey
 from totalediting.faces.landmarker import LEFT_IRIS, RIGHT_IRIS, Face, Landmarker
 from totalediting.geometry.identity import identity_basis
@@ -40,6 +41,7 @@ _ON_SKIN = 4e-3  # metres from it within which a pixel shows skin
 _LEAST = 0.2  # share of pictures in which a landmark must be there
 _LOOSEST = 8e-3  # metres of median scatter over people, beyond which a landmark has no place
 _FINEST = 5e-4  # metres, below which the mesh tells nothing
+_MISREAD = 2.5  # of the median distance, from which a picture's landmarks are no face's
 _LEVELS = np.linspace(0, 1, 11)
 _SMOOTH = 3.0  # pictures that speak for a curve without steps
 _LEAST_SCATTER = 0.02
@@ -84,20 +86,30 @@ def calibrated(found: list[Example], source: str) -> Correspondences:
     corners, shares, known = _places(found)
     landmarks = np.flatnonzero(known)
     corners, shares = corners[known], shares[known]
+    missed = _missed(found, landmarks, corners, shares)
+    whole = np.median(missed, axis=1)
+    trusted = whole < _MISREAD * np.median(whole)
+    found, missed = list(compress(found, trusted)), missed[trusted]
     read = np.stack([example.face.blendshapes for example in found])
     shown = np.array([[e.meta["expression"][name] for name in ARKIT_NAMES] for e in found])
     curves = np.stack([_rising(x, y) for x, y in zip(read.T, shown.T, strict=True)])
     rows = zip(read.T, curves, strict=True)
     off = shown - np.stack([np.interp(x, _LEVELS, curve) for x, curve in rows], 1)
+    looking = np.array([[e.meta["gaze"][name] for name in ("yaw", "pitch")] for e in found])
+    left = looks(read)
+    gaze = np.linalg.solve(left.T @ left + 0.1 * np.eye(left.shape[1]), left.T @ looking)
+    turned = looking - left @ gaze
     return Correspondences(
         landmarks=landmarks,
         corners=corners,
         shares=shares,
-        deviations=_deviations(found, landmarks, corners, shares),
+        # A median: what is hidden in some pictures does not count. Of one coordinate.
+        deviations=np.median(missed, axis=0).clip(_FINEST) / np.sqrt(np.log(4)),
         blendshapes=curves,
         levels=_LEVELS,
         scatter=np.sqrt((off**2).mean(0)).clip(_LEAST_SCATTER),
-        priors=_priors(found),
+        gaze=gaze,
+        priors=_priors(found) | {"gaze": ([0.0, 0.0], turned.std(0).round(4).tolist())},
         source=source,
     )
 
@@ -160,10 +172,10 @@ def _geometric_median(points: np.ndarray) -> tuple[np.ndarray, float]:
     return middle, float(np.median(np.linalg.norm(points - middle, axis=1)))
 
 
-def _deviations(
+def _missed(
     found: list[Example], landmarks: np.ndarray, corners: np.ndarray, shares: np.ndarray
 ) -> np.ndarray:
-    """(N + 2,) metres by which landmarks miss their place on the true bust, and irises theirs."""
+    """(B, N + 2) metres by which landmarks miss their place on the true bust, irises theirs."""
     numbers = np.append(landmarks, [RIGHT_IRIS[0], LEFT_IRIS[0]])
     off = np.empty((len(found), len(numbers)))
     for k, example in enumerate(found):
@@ -175,25 +187,29 @@ def _deviations(
         truth = np.concatenate([pixels, np.array(example.meta["landmarks"]["points"])[68:70]])
         metres = -points[:, 2].mean() / lens[0, 0]  # of a pixel, at the face
         off[k] = metres * np.linalg.norm(example.face.landmarks[numbers, :2] - truth, axis=1)
-    # A median: what is hidden in some pictures does not count.
-    return np.median(off, axis=0).clip(_FINEST) / np.sqrt(np.log(4))  # of one coordinate
+    return off
 
 
 def _rising(read: np.ndarray, shown: np.ndarray) -> np.ndarray:
-    """(L,) means of what is shown at each level of what is read, by least squares, rising."""
+    """(L,) means of what is shown at each level of what is read, by least squares, rising from 0.
+
+    Where little is known it rises as what is read. That it starts from 0 makes it depend less on
+    how often the examples show what detectors do not see.
+    """
     hats = np.stack([np.interp(read, _LEVELS, row) for row in np.eye(len(_LEVELS))], 1)
     steps = np.tril(np.ones((len(_LEVELS), len(_LEVELS))))  # a curve as the sum of its steps
-    bend = np.diff(np.eye(len(_LEVELS)), 2, axis=0) * np.sqrt(_SMOOTH)
-    left = np.concatenate([hats, bend, 1e-3 * np.eye(len(_LEVELS))]) @ steps
-    right = np.concatenate([shown, np.zeros(len(left) - len(shown))])
-    return (steps @ nnls(left, right)[0]).clip(0, 1)
+    slope = np.diff(np.eye(len(_LEVELS)), axis=0)
+    bend = np.diff(slope, axis=0)
+    left = np.concatenate([hats, np.sqrt(_SMOOTH) * bend, np.sqrt(_SMOOTH) * slope]) @ steps
+    even = np.sqrt(_SMOOTH) * np.diff(_LEVELS)
+    right = np.concatenate([shown, np.zeros(len(bend)), even])
+    return (steps[:, 1:] @ nnls(left[:, 1:], right)[0]).clip(0, 1)
 
 
 def _priors(found: list[Example]) -> dict[str, tuple[list[float], list[float]]]:
     drawn = [example.meta["camera"]["sample"] for example in found]
     angles = ("pitch", "roll", "yaw")
     values = {
-        "gaze": [[e.meta["gaze"][name] for name in ("yaw", "pitch")] for e in found],
         "head": [[e.meta["head"][name] for name in angles] for e in found],
         "camera": [[one[name] for name in ("yaw", "pitch", "roll")] for one in drawn],
         "log_focal": [[np.log(one["focal_mm"] / FOCAL_MM)] for one in drawn],

@@ -13,6 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
+from assets_procedural.motion.poses import ARKIT_NAMES
+
+_LOOKS = [k for k, name in enumerate(ARKIT_NAMES) if name.startswith("eyeLook")]
 FILE = Path(__file__).with_name("data") / "landmarks.npz"
 
 
@@ -29,11 +32,13 @@ class Correspondences:
     deviations: np.ndarray
     """(N + 2,) metres that a landmark is off by, and both irises: of the least squares' weights."""
     blendshapes: np.ndarray
-    """(52, L) what is shown on average where MediaPipe reads `levels`: rises monotonically."""
+    """(52, L) what is shown on average where MediaPipe reads `levels`: rises from 0."""
     levels: np.ndarray
     """(L,) from 0 to 1."""
     scatter: np.ndarray
     """(52,) deviation of what is shown from `blendshapes`."""
+    gaze: np.ndarray
+    """(9, 2) the gaze, radians, by MediaPipe's eight `eyeLook…` in their order and by 1."""
     priors: dict[str, tuple[list[float], list[float]]]
     """Mean and deviation over people and cameras, by the field of `Tracking`."""
     source: str
@@ -43,6 +48,15 @@ class Correspondences:
         """(B, 52) coefficients of the bust that blendshapes (B, 52) stand for."""
         rows = zip(read.T, self.blendshapes, strict=True)
         return np.stack([np.interp(values, self.levels, curve) for values, curve in rows], 1)
+
+    def looking(self, read: np.ndarray) -> np.ndarray:
+        """(B, 2) gaze that blendshapes (B, 52) stand for."""
+        return looks(read) @ self.gaze
+
+
+def looks(read: np.ndarray) -> np.ndarray:
+    """(B, 9) of blendshapes (B, 52), what the gaze is linear in."""
+    return np.concatenate([read[:, _LOOKS], np.ones((len(read), 1))], 1)
 
 
 def write(path: Path, found: Correspondences) -> None:

@@ -47,7 +47,7 @@ _FACING = (0.0, 0.3)  # cosine between which a landmark begins to count
 _INDEPENDENT = 0.1  # share of the landmarks that err independently of each other
 _SAME_ERROR = 4  # pictures, beyond which those of a person tell nothing more about it
 _STEP = 1e-6
-_COLD, _WARM = 12, 3  # iterations
+_COLD, _WARM = 6, 3  # iterations
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +87,8 @@ class BustFitter:
         deviation[_PLACES["identity"]] = 1.0
         deviation[_PLACES["expression"]] = correspondences.scatter
         self._precision = deviation**-2
+        self._counts = np.full(len(self.landmarks), _INDEPENDENT)
+        self._counts[-2:] = 1.0  # an iris stands for itself
         self._free = np.ones(_UNKNOWNS, bool)
         self._free[_PLACES["expression"]] = self.model.implied == 0
 
@@ -132,6 +134,7 @@ class BustFitter:
         points *= [1, -1, -1]
         state = np.tile(self._mean, (len(points), 1))
         state[:, _PLACES["expression"]] = self.found.shown(blendshapes)
+        state[:, _PLACES["gaze"]] = self.found.looking(blendshapes)
         expected = state.copy()
         scales = np.empty((len(points), 1))
         mean = self.model.mean[:-1]
@@ -186,13 +189,13 @@ class BustFitter:
         unit = seen.scale[..., None] * self.found.deviations[:, None]
         off = (predicted - seen.points) / unit
         squared = (off**2).sum(-1)
-        counts = _INDEPENDENT * facing
+        counts = self._counts * facing
         cost = (counts * _STRAY**2 * np.log1p(squared / _STRAY**2)).sum(1)
         weight = np.sqrt(counts / (1 + squared / _STRAY**2))
         jacobian *= (weight[..., None] / unit)[..., None]
         off *= weight[..., None]
         flat = jacobian.reshape(len(state), -1, _UNKNOWNS)
-        gradient = np.einsum("bnp,bn->bp", flat, off.reshape(len(state), -1))
+        gradient = (off.reshape(len(state), 1, -1) @ flat)[:, 0]
         hessian = flat.swapaxes(1, 2) @ flat
 
         precision = self._precision.copy()

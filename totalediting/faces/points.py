@@ -22,6 +22,7 @@ from totalediting.geometry.rig import constants
 from totalediting.geometry.tracking import EXPRESSIONS, IDENTITY
 
 _PUPIL = 0.855  # of the way from an eyeball's centre to its front, as `body.landmarks` has it
+_ANGLES = 5  # of gaze and head
 _STEP = 1e-6  # radians, of the differences that give derivatives by angles
 
 
@@ -73,6 +74,8 @@ class PointModel:
     """(2,) of the mean head's lids, in shares of what the blink closes."""
     aperture_by_shape: np.ndarray
     """(2, 84), 0 by blinks."""
+    closing: np.ndarray
+    """(2, N, 3, 84) by shape, how far a blink moves points for what the shape has opened."""
 
     def origin(self, pose: Pose) -> np.ndarray:
         """(B, 3) where model space has its origin."""
@@ -86,20 +89,25 @@ class PointModel:
         joints = np.concatenate([np.ones((len(vertices), 1)), pose.identity], 1)
         joints = np.tensordot(joints, self.joints, 1)
         turns = np.concatenate([pose.gaze, pose.head], 1)
-        bones = _turned(turns)
-        rotations, points = self._skinned(bones, joints, vertices)
-        by_shape = np.einsum("bnij,bnjs->bnis", rotations, by_shape)
+        # The pose itself, then each of its angles a little further, all at once.
+        steps = np.concatenate([np.zeros((1, _ANGLES)), _STEP * np.eye(_ANGLES)])
+        nudged = (turns + steps[:, None]).reshape(-1, _ANGLES)
+        count = len(steps)
+        bones = _turned(nudged)
+        rotations, points = self._skinned(
+            bones, np.tile(joints, (count, 1, 1)), np.tile(vertices, (count, 1, 1))
+        )
+        size = len(turns)
+        rotations, points = rotations[:size], points.reshape(count, *vertices.shape)
+        by_turn = np.moveaxis(points[1:] - points[0], 0, -1) / _STEP
+        points = points[0]
+        by_shape = rotations @ by_shape
         # Where a bone turns about moves with the identity; an offset is linear in that.
-        by_joint = _offsets(bones, self.joints[1:, None])
-        by_shape[..., :IDENTITY] += np.einsum("nj,kbji->bnik", self.weights, by_joint)
-        by_turn = np.empty((*points.shape, 5))
-        for k in range(5):
-            nudged = turns.copy()
-            nudged[:, k] += _STEP
-            by_turn[..., k] = self._skinned(_turned(nudged), joints, vertices)[1]
-        by_turn = (by_turn - points[..., None]) / _STEP
+        still = [bone.first(size) for bone in bones]
+        by_joint = np.tensordot(self.weights, _offsets(still, self.joints[1:, None]), (1, 2))
+        by_shape[..., :IDENTITY] += by_joint.transpose(2, 0, 3, 1)
         # The lids follow the gaze.
-        by_turn[..., :2] += np.einsum("bnis,bsg->bnig", by_shape[..., IDENTITY:], by_gaze)
+        by_turn[..., :2] += by_shape[..., IDENTITY:] @ by_gaze[:, None]
         by_shape[..., IDENTITY:] *= 1.0 - self.implied
         return Moved(points, by_shape, by_turn, rotations)
 
@@ -137,7 +145,7 @@ class PointModel:
         ).copy()
         for k, column in enumerate(columns):
             share = shares[:, k] * (apertures[:, k] > 0)
-            by_shape += np.einsum("b,s,ni->bnis", share, self.aperture_by_shape[k], blinks[k])
+            by_shape += share[:, None, None, None] * self.closing[k]
             by_shape[..., column] = np.clip(apertures[:, k], 0, None)[:, None, None] * blinks[k]
         return self.mean + np.tensordot(effective, self.shapes, 1), by_shape
 
@@ -146,9 +154,9 @@ class PointModel:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Blended rotations (B, N, 3, 3) of the bones, and posed points (B, N, 3)."""
         turns = np.stack([bone.parent @ bone.own for bone in bones], 1)
-        rotations = np.einsum("nj,bjik->bnik", self.weights, turns)
-        offsets = np.einsum("nj,bji->bni", self.weights, _offsets(bones, joints))
-        return rotations, np.einsum("bnij,bnj->bni", rotations, vertices) + offsets
+        rotations = np.tensordot(self.weights, turns, (1, 1)).swapaxes(0, 1)
+        offsets = np.tensordot(self.weights, _offsets(bones, joints), (1, 1)).swapaxes(0, 1)
+        return rotations, (rotations @ vertices[..., None])[..., 0] + offsets
 
 
 class _Bone(NamedTuple):
@@ -159,6 +167,10 @@ class _Bone(NamedTuple):
     joint: int
     above: int
     """The parent, in the order of `BONES`."""
+
+    def first(self, count: int) -> _Bone:
+        """Of the first pictures."""
+        return self._replace(parent=self.parent[:count], own=self.own[:count])
 
 
 def _turned(turns: np.ndarray) -> list[_Bone]:
@@ -223,6 +235,7 @@ def point_model(correspondences: Correspondences) -> PointModel:
     normals = np.cross(edges[:, 0], edges[:, 1])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     normals = np.concatenate([normals, [[0, -1.0, 0]] * 3])
+    placed = at(shapes)
     weights = at(head.weights)
     weights[-1] = np.eye(len(BONES))[0]  # the origin stays with the trunk
     numbers = [blink[0] for blink in rig.blinks]
@@ -238,7 +251,7 @@ def point_model(correspondences: Correspondences) -> PointModel:
     joints = np.concatenate([mean[None, vertices:], components[:, vertices:]])
     return PointModel(
         mean=at(rest),
-        shapes=at(shapes),
+        shapes=placed,
         normals=normals,
         weights=weights,
         joints=joints,
@@ -246,4 +259,5 @@ def point_model(correspondences: Correspondences) -> PointModel:
         blinks=(numbers[0], numbers[1]),
         aperture=np.array([mean for mean, _ in apertures]),
         aperture_by_shape=by_shape,
+        closing=np.einsum("ls,lni->lnis", by_shape, placed[[IDENTITY + n for n in numbers]]),
     )
