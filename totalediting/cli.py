@@ -247,6 +247,32 @@ def track(
     console.say(out)
 
 
+@app.command()
+def edit(
+    appearance: Annotated[
+        Path, typer.Option(metavar="A", help="Photograph of the person to show.")
+    ],
+    out: Annotated[
+        Path, typer.Option("--out", metavar="O", help="Picture (.png), or video (.mp4), to write.")
+    ],
+    motion: Annotated[
+        Path | None, typer.Option(metavar="M", help="Photograph or video whose motion to take.")
+    ] = None,
+    lighting: Annotated[
+        Path | None,
+        typer.Option(metavar="L", help="Panorama (.exr, .hdr) or photograph whose light to take."),
+    ] = None,
+    engine: Annotated[Literal["warp"], typer.Option(help="How: warp takes no training.")] = "warp",
+) -> None:
+    """Show a person in the motion of another, in another light."""
+    del engine  # one so far
+    from totalediting.editing import edit as editing
+
+    for note in editing.edit(appearance, motion, lighting, out):
+        typer.echo(note, err=True)
+    console.say(out)
+
+
 def _print_figures(found: dict[str, dict[str, float]]) -> None:
     """Figures by stage, one a line."""
     from totalediting.training import figures

@@ -45,10 +45,11 @@ def faces_of(tracking: Tracking, found: Correspondences, side: float) -> list[Fa
     pupils = model.moved(pose).points[:, -3:-1] - model.origin(pose)[:, None]
     points = np.concatenate([points, pupils], 1)
     own = (points - frames[:, None, :3, 3]) @ frames[:, :3, :3]
-    depth = -own[..., 2:]
+    depth = np.asarray(-own[..., 2:])
     size = lenses[:, None, :1, 0]
     flat = 0.5 + size * own[..., :2] * [1, -1] / depth
-    near = size * (depth - depth.mean(1, keepdims=True)) / depth.mean(1, keepdims=True)
+    middle = np.mean(depth, axis=1, keepdims=True)
+    near = size * (depth - middle) / middle
     landmarks = np.full((len(points), LANDMARKS, 3), [0.5, 0.5, 0.0])
     numbers = np.append(found.landmarks, [RIGHT_IRIS[0], LEFT_IRIS[0]])
     landmarks[:, numbers] = np.concatenate([flat, near], -1)

@@ -186,7 +186,7 @@ def _shots(tracker: Tracker, dataset: Dataset, numbers: range) -> Unit:
 def _pictures(tracker: Tracker, names: dict[Path, str]) -> Unit:
     def pictures(done: Callable[[int], None]) -> Iterator[tuple[str, int, np.ndarray]]:
         for count, (path, name) in enumerate(names.items()):
-            with _readable(path):
+            with readable(path):
                 stored, turn = frames.read_picture(path)
             yield name, 0, turn.pixels(stored)
             done(count + 1)
@@ -199,18 +199,18 @@ def _pictures(tracker: Tracker, names: dict[Path, str]) -> Unit:
 
 
 def _video(tracker: Tracker, path: Path, name: str) -> Unit:
-    with _readable(path):
+    with readable(path):
         count = len(frames.index_video(path).pts)
 
     def make(done: Callable[[int], None]) -> table.FitTable:
-        with _readable(path):
+        with readable(path):
             return tracker.video(name, path, done)
 
     return Unit(name, count, make)
 
 
 @contextlib.contextmanager
-def _readable(path: Path) -> Iterator[None]:
+def readable(path: Path) -> Iterator[None]:
     """Says in one line why a file cannot be read."""
     try:
         yield

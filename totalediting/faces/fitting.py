@@ -19,11 +19,12 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from assets_procedural.conventions.camera import SENSOR_MM
+from totalediting.faces.cameras import camera_angles, camera_axes, similarity
 from totalediting.faces.correspondences import Correspondences
+from totalediting.faces.framing import five_points
 from totalediting.faces.landmarker import LEFT_IRIS, RIGHT_IRIS
 from totalediting.faces.points import PointModel, Pose, point_model
 from totalediting.geometry.rig import framed
@@ -45,6 +46,18 @@ MOVING = np.append(MOVING, np.arange(_PLACES["log_scale"].start, _UNKNOWNS))
 _STRAY = 3.0  # deviations from which a landmark counts less
 _FACING = (0.0, 0.3)  # cosine between which a landmark begins to count
 _INDEPENDENT = 0.1  # share of the landmarks that err independently of each other
+_OUTER_LIPS = (
+    *(61, 146, 91, 181, 84, 17, 314, 405, 321, 375, 291, 185, 40, 39, 37, 0, 267, 269, 270, 409),
+)
+_INNER_LIPS = (
+    *(78, 95, 88, 178, 87, 14, 317, 402, 318, 324, 308, 191, 80, 81, 82, 13, 312, 311, 310, 415),
+)
+# Lips part by what the face's other landmarks do not tell, and an iris stands for itself.
+_MORE_INDEPENDENT = (
+    (_OUTER_LIPS, 0.4),
+    (_INNER_LIPS, 1.0),
+    ((RIGHT_IRIS[0], LEFT_IRIS[0]), 1.0),
+)
 _SAME_ERROR = 4  # pictures, beyond which those of a person tell nothing more about it
 _STEP = 1e-6
 _COLD, _WARM = 6, 3  # iterations
@@ -88,7 +101,8 @@ class BustFitter:
         deviation[_PLACES["expression"]] = correspondences.scatter
         self._precision = deviation**-2
         self._counts = np.full(len(self.landmarks), _INDEPENDENT)
-        self._counts[-2:] = 1.0  # an iris stands for itself
+        for numbers, share in _MORE_INDEPENDENT:
+            self._counts[np.isin(self.landmarks, numbers)] = share
         self._free = np.ones(_UNKNOWNS, bool)
         self._free[_PLACES["expression"]] = self.model.implied == 0
 
@@ -139,8 +153,8 @@ class BustFitter:
         scales = np.empty((len(points), 1))
         mean = self.model.mean[:-1]
         for k, seen in enumerate(points):
-            rotation, scale, shift = _similarity(mean, seen)
-            state[k, _PLACES["camera"]] = _camera_angles(rotation.T)
+            rotation, scale, shift = similarity(mean, seen)
+            state[k, _PLACES["camera"]] = camera_angles(rotation.T)
             state[k, _PLACES["head"]] = 0
             state[k, _PLACES["log_scale"]] = np.log(scale)
             state[k, _PLACES["centre"]] = shift[:2]
@@ -212,7 +226,7 @@ class BustFitter:
         pose = Pose(*(parts[name] for name in Pose._fields))
         moved = self.model.moved(pose)
         n = len(self.landmarks)
-        axes = _camera_axes(parts["camera"])
+        axes = camera_axes(parts["camera"])
         own = moved.points[:, :n] @ axes
         scale, focal = np.exp(parts["log_scale"])[..., None], _frames(parts["log_focal"])[..., None]
         depth = scale * own[..., 2:] / focal
@@ -231,7 +245,7 @@ class BustFitter:
         for k in range(3):
             nudged = parts["camera"].copy()
             nudged[:, k] += _STEP
-            change = (_camera_axes(nudged) - axes) / _STEP
+            change = (camera_axes(nudged) - axes) / _STEP
             by_angle = (moved.points[:, :n] @ change)[..., None]
             jacobian[..., _PLACES["camera"].start + k] = (by_point @ by_angle)[..., 0]
         by_depth = predicted * depth / (1 - depth)
@@ -254,7 +268,7 @@ class BustFitter:
         parts = {name: state[:, place] for name, place in _PLACES.items()}
         pose = Pose(*(parts[name] for name in Pose._fields))
         scale = np.exp(parts["log_scale"])
-        axes, distance = _camera_axes(parts["camera"]), _frames(parts["log_focal"]) / scale
+        axes, distance = camera_axes(parts["camera"]), _frames(parts["log_focal"]) / scale
         place = np.concatenate([-parts["centre"] / scale, distance], 1)
         position = (axes @ place[..., None])[..., 0] - self.model.origin(pose)
 
@@ -270,7 +284,7 @@ class BustFitter:
             log_focal=tensor(parts["log_focal"]),
             log_fill=torch.zeros(len(state), 1),
             shift=torch.zeros(len(state), 2),
-            face=tensor(_five_points(shares)),
+            face=tensor(five_points(shares)),
         )
         return framed(tracking, torch.from_numpy(position))
 
@@ -307,43 +321,3 @@ def _step(
 def _frames(log_focal: np.ndarray) -> np.ndarray:
     """Focal length, in frames."""
     return FOCAL_MM / SENSOR_MM * np.exp(log_focal)
-
-
-def _camera_axes(angles: np.ndarray) -> np.ndarray:
-    """(B, 3, 3) columns right, up and away of cameras' yaw, pitch, roll (B, 3)."""
-    # The camera at rest looks along +Y: right is X, up is Z, away is -Y.
-    still = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
-    yaw, pitch, roll = angles.T
-    turned = Rotation.from_euler("ZXY", np.stack([yaw, -pitch, -roll], 1)).as_matrix()
-    return turned @ still
-
-
-def _camera_angles(axes: np.ndarray) -> np.ndarray:
-    """(3,) yaw, pitch, roll of a camera with these axes (3, 3)."""
-    right, _, away = axes.T
-    yaw, pitch = np.arctan2(away[0], -away[1]), np.arcsin(np.clip(away[2], -1, 1))
-    level = np.array([np.cos(yaw), np.sin(yaw), 0])
-    return np.array([yaw, pitch, np.arctan2(right @ np.cross(away, level), right @ level)])
-
-
-def _similarity(points: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
-    """Rotation (3, 3), scale and shift (3,) from points (N, 3) to those seen (Umeyama 1991)."""
-    middle, centre = points.mean(0), seen.mean(0)
-    left, sizes, right = np.linalg.svd((seen - centre).T @ (points - middle))
-    sign = np.array([1, 1, np.sign(np.linalg.det(left @ right))])
-    rotation = (left * sign) @ right
-    scale = float((sizes * sign).sum() / ((points - middle) ** 2).sum())
-    return rotation, scale, centre - scale * rotation @ middle
-
-
-# Both eyes' contours (their means do not move with the gaze), nose and corners of the mouth.
-_RIGHT_CONTOUR = [33, 160, 158, 133, 153, 144]
-_LEFT_CONTOUR = [362, 385, 387, 263, 373, 380]
-_NOSE_AND_MOUTH = [4, 61, 291]
-
-
-def _five_points(shares: np.ndarray) -> np.ndarray:
-    """(B, 10) `Tracking.face` of landmarks (B, 478, 3) in sides of the square."""
-    eyes = [shares[:, contour, :2].mean(1) for contour in (_RIGHT_CONTOUR, _LEFT_CONTOUR)]
-    points = np.stack([*eyes, *shares[:, _NOSE_AND_MOUTH, :2].swapaxes(0, 1)], 1)
-    return ((points - 0.5) * [1, -1]).reshape(len(points), -1)

@@ -36,3 +36,16 @@ def on_grey(picture: np.ndarray) -> np.ndarray:
         return picture
     alpha = picture[..., 3:].astype(np.float32) / 255
     return np.rint(picture[..., :3] * alpha + 128 * (1 - alpha)).astype(np.uint8)
+
+
+# Both eyes' contours (their means do not move with the gaze), nose and corners of the mouth.
+_RIGHT_CONTOUR = [33, 160, 158, 133, 153, 144]
+_LEFT_CONTOUR = [362, 385, 387, 263, 373, 380]
+_NOSE_AND_MOUTH = [4, 61, 291]
+
+
+def five_points(shares: np.ndarray) -> np.ndarray:
+    """(B, 10) `Tracking.face` of landmarks (B, 478, 3) in sides of the square."""
+    eyes = [shares[:, contour, :2].mean(1) for contour in (_RIGHT_CONTOUR, _LEFT_CONTOUR)]
+    points = np.stack([*eyes, *shares[:, _NOSE_AND_MOUTH, :2].swapaxes(0, 1)], 1)
+    return ((points - 0.5) * [1, -1]).reshape(len(points), -1)

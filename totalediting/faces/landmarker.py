@@ -16,7 +16,7 @@ import zipfile
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -24,7 +24,7 @@ from PIL import Image
 from torch.nn import functional
 
 from assets_procedural.motion.poses import ARKIT_NAMES
-from totalediting.errors import InputError
+from totalediting.faces.litert import interpreter_of, run
 from totalediting.pretrained.fetch import NetworkError, describe, fetch
 
 LANDMARKS = 478
@@ -109,7 +109,7 @@ class Landmarker:
                 contents = [bundle.read(f"{name}.tflite") for name in names]
         except (zipfile.BadZipFile, KeyError) as error:
             raise NetworkError(f"{file}: not Google's face landmarker: {error}") from None
-        self._detector, self._mesh, self._blendshapes = map(_interpreter, contents)
+        self._detector, self._mesh, self._blendshapes = map(interpreter_of, contents)
         self._anchors = np.array(
             [
                 ((x + 0.5) / cells, (y + 0.5) / cells)
@@ -147,7 +147,7 @@ class Landmarker:
     def _detect(self, picture: np.ndarray, square: _Square) -> list[_Square]:
         """Squares around the faces that the detector finds in a part of the picture."""
         seen = _laid(picture, square, _DETECTOR_SIDE, "zeros")
-        outputs = _run(self._detector, 2.0 * seen - 1.0)
+        outputs = run(self._detector, 2.0 * seen - 1.0)
         boxes, logits = outputs[1, 896, 16][0], outputs[1, 896, 1][0]
         scores = 1.0 / (1.0 + np.exp(-logits[:, 0].astype(np.float64).clip(-100, 100)))
         kept = np.flatnonzero(scores > _FOUND)
@@ -162,7 +162,7 @@ class Landmarker:
 
     def _read(self, picture: np.ndarray, square: _Square) -> Face | None:
         """The face in a square; None where the network says that there is none."""
-        outputs = _run(self._mesh, _laid(picture, square, _MESH_SIDE, "border"))
+        outputs = run(self._mesh, _laid(picture, square, _MESH_SIDE, "border"))
         presence = 1.0 / (1.0 + np.exp(-float(outputs[1, 1, 1, 1].item())))
         if not presence > _FOUND:
             return None
@@ -170,39 +170,12 @@ class Landmarker:
             outputs[1, 1, 1, LANDMARKS * 3].reshape(LANDMARKS, 3).astype(np.float64) / _MESH_SIDE
         )
         flat = (points[:, :2] - 0.5) @ square.axes.T * square.side + square.centre
-        scores = _run(self._blendshapes, flat[_BLENDSHAPE_LANDMARKS])[52,]
+        scores = run(self._blendshapes, flat[_BLENDSHAPE_LANDMARKS])[52,]
         # MediaPipe's names are `_neutral`, then ARKit's in our order, which ends with tongueOut.
         blendshapes = np.zeros(len(ARKIT_NAMES), np.float32)
         blendshapes[:51] = scores[1:]
         landmarks = np.concatenate([flat, points[:, 2:] * square.side], 1)
         return Face(landmarks.astype(np.float32), blendshapes, presence)
-
-
-def _interpreter(content: bytes) -> Any:
-    try:
-        from ai_edge_litert.interpreter import (  # pyright: ignore[reportMissingImports]
-            Interpreter,
-        )
-    except ImportError:
-        raise InputError(
-            "ai-edge-litert, which runs the face landmarker, is not installed; "
-            "pip install 'totalediting[edit]'"
-        ) from None
-    try:
-        interpreter = Interpreter(model_content=content, num_threads=1)
-        interpreter.allocate_tensors()
-    except (ValueError, RuntimeError) as error:
-        raise NetworkError(f"face_landmarker: not a network: {error}") from None
-    return interpreter
-
-
-def _run(interpreter: Any, values: np.ndarray) -> dict[tuple[int, ...], np.ndarray]:
-    """Outputs of a network for one input, without its leading axis, by their shapes."""
-    (place,) = interpreter.get_input_details()
-    interpreter.set_tensor(place["index"], values[None].astype(np.float32))
-    interpreter.invoke()
-    outputs = [interpreter.get_tensor(out["index"]) for out in interpreter.get_output_details()]
-    return {output.shape: output for output in outputs}
 
 
 def _check(picture: np.ndarray) -> None:

@@ -100,7 +100,7 @@ def test_a_clip_has_one_person_and_one_camera(fitter, exact):
     same["camera_yaw_pitch_roll"] = 0 * truth.camera_yaw_pitch_roll
     turning = 0.3 * torch.sin(torch.arange(12) / 2)[:, None]
     truth = truth._replace(**same, head=torch.cat([0 * turning, 0 * turning, turning], 1))
-    square, found = fit_clip(fitter, faces_of(truth, exact, SIDE), np.arange(12) / 25.0)
+    square, found = fit_clip(fitter, faces_of(truth, exact, SIDE), [k / 25 for k in range(12)])
     assert square.shape == (3,)
     for name in ("identity", "camera_yaw_pitch_roll", "log_focal"):
         field = getattr(found.tracking, name)
