@@ -10,8 +10,9 @@ constant answer, the medians of these pictures. The dataset's people must not be
 `totalediting.faces.calibrate` has seen; which these were is printed.
 
 Of each `--real` picture or video: the distance of landmarks from the bust's, and how expressions
-and the head's turn go with MediaPipe's blendshapes and with the landmarks' own turn. With
-`--overlay`, pictures of fitted busts over what they were fitted to. Needs the extra `edit`.
+go with MediaPipe's blendshapes. With
+`--overlay`, pictures of fitted busts over what they were fitted to. Where MediaPipe is installed,
+its own landmarks and turns of the head are compared, too. Needs the extra `edit`.
 """
 
 from __future__ import annotations
@@ -19,12 +20,14 @@ from __future__ import annotations
 import argparse
 import sys
 import tempfile
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import report
 import torch
+from detectors import FaceLandmarker, Frame
 from PIL import Image, ImageDraw
 from scipy.spatial.transform import Rotation
 
@@ -40,6 +43,7 @@ from totalediting.faces.landmarker import Face, Landmarker
 from totalediting.geometry.rig import camera_of, constants, control_of
 from totalediting.geometry.space import head_centre
 from totalediting.geometry.tracking import Tracking
+from totalediting.pretrained.fetch import fetch
 
 SHOWN = (
     *("jawOpen", "mouthSmileLeft", "mouthSmileRight", "eyeBlinkLeft", "eyeBlinkRight"),
@@ -47,6 +51,7 @@ SHOWN = (
 )
 ANGLES = ("yaw", "pitch", "roll")
 OVERLAYS, OVERLAY_SIDE = 6, 512  # of a video or dataset; pixels
+MEDIAPIPE_EVERY = 8  # frames of a video
 
 
 class Rendered:
@@ -160,35 +165,76 @@ def of_real(path: Path, folder: Path | None) -> list[list[str]]:
         with report.clock() as took:
             track(path, out)
         found = table.read(out)
-    rows = [["faces", str(len(found.source))]]
-    rows.append(
-        ["CPU ms a picture, all in all", f"{1e3 * took.cpu_seconds / len(found.frame):.0f}"]
-    )
     mean, median, worst = spread(100 * found.residual)
-    rows.append(["landmarks from the bust's, % of the frame: mean", mean])
-    rows.append(["… median … 95 %", f"{median} … {worst}"])
+    rows = [
+        ["faces", str(len(found.source))],
+        ["CPU ms a picture, start and all", f"{1e3 * took.cpu_seconds / len(found.frame):.0f}"],
+        ["landmarks from the bust's, % of the frame: mean", mean],
+        ["… median … 95 %", f"{median} … {worst}"],
+    ]
     if len(found.source) > 2:
         fitted, read = found.tracking.expression.numpy(), found.blendshapes
         for name in SHOWN:
             k = ARKIT_NAMES.index(name)
-            rows.append([f"{name}: correlation", correlation(fitted[:, k], read[:, k])])
+            rows.append([f"{name}: correlation, 5 % … 95 %", *both(fitted[:, k], read[:, k])])
+    if find_spec("mediapipe"):
+        rows += beside_mediapipe(path, found)
     if folder is not None:
-        for k, picture in squares(path, found).items():
-            draw(picture, row(found.tracking, k), folder / f"{path.stem}_{found.frame[k]:04d}.png")
+        chosen = np.linspace(0, len(found.frame) - 1, OVERLAYS).astype(int)
+        for k, picture in pictures_of(path, found, set(chosen.tolist())).items():
+            shown = cut(picture, found.square[k], OVERLAY_SIDE)
+            draw(shown, row(found.tracking, k), folder / f"{path.stem}_{found.frame[k]:04d}.png")
     return rows
 
 
-def squares(path: Path, found: table.FitTable) -> dict[int, np.ndarray]:
-    """Some pictures (S, S, 3) of a file, as they were fitted, by row."""
+def beside_mediapipe(path: Path, found: table.FitTable) -> list[list[str]]:
+    """Rows: our landmarks and turns of the head beside those of MediaPipe itself."""
+    theirs, ours = FaceLandmarker(fetch("face_landmarker")), Landmarker()
+    turns, angles, apart, scores = angles_of(turns_of(found.tracking)), [], [], []
+    chosen = range(0, len(found.frame), MEDIAPIPE_EVERY)
+    pictures = pictures_of(path, found, set(chosen))
+    seen = []
+    for k, picture in pictures.items():
+        height, width = picture.shape[:2]
+        anywhere = np.resize(np.array([[0.0, 0.0], [width, height]]), (70, 2))
+        reading = theirs.read(Frame("", picture, anywhere, {}, np.zeros(3)))
+        if reading is None or not (faces := ours.find(picture)):
+            continue
+        seen.append(k)
+        angles.append(reading.angles)
+        apart.append(np.linalg.norm(faces[0].landmarks[:, :2] - reading.mesh, axis=1))
+        names = zip(ARKIT_NAMES, faces[0].blendshapes, strict=True)
+        scores.append([abs(reading.blendshapes.get(name, 0.0) - score) for name, score in names])
+    if not seen:
+        return [["MediaPipe sees no face", ""]]
+    rows = [
+        ["pictures beside MediaPipe", str(len(seen))],
+        ["landmarks from MediaPipe's own, px: mean", f"{np.mean(apart):.4f}"],
+        ["… largest", f"{np.max(apart):.4f}"],
+        ["blendshapes from MediaPipe's own: largest", f"{np.max(scores):.4f}"],
+    ]
+    if len(seen) > 2:
+        for k, name in enumerate(ANGLES):
+            rows.append(
+                [f"head {name}, °: correlation", *both(turns[seen, k], np.stack(angles)[:, k])]
+            )
+    return rows
+
+
+def pictures_of(path: Path, found: table.FitTable, chosen: set[int]) -> dict[int, np.ndarray]:
+    """Pictures (H, W, 3) of a file, by row of its table."""
     if path.suffix.lower() in frames.PICTURES:
         stored, turn = frames.read_picture(path)
-        pictures = {0: turn.pixels(stored)}
-    else:
-        chosen = np.linspace(0, len(found.frame) - 1, OVERLAYS).astype(int)
-        numbers = {int(found.frame[k]): int(k) for k in chosen}
-        played = enumerate(frames.play_video(path, frames.index_video(path)))
-        pictures = {numbers[n]: picture for n, (_, picture) in played if n in numbers}
-    return {k: cut(picture, found.square[k], OVERLAY_SIDE) for k, picture in pictures.items()}
+        return {0: turn.pixels(stored)}
+    numbers = {int(found.frame[k]): k for k in sorted(chosen)}
+    played = enumerate(frames.play_video(path, frames.index_video(path)))
+    return {numbers[n]: picture for n, (_, picture) in played if n in numbers}
+
+
+def both(ours: np.ndarray, theirs: np.ndarray) -> list[str]:
+    """Correlation, and ranges of the fit and of MediaPipe."""
+    ranges = ["{:.2f} … {:.2f}".format(*np.percentile(x, (5, 95))) for x in (ours, theirs)]
+    return [correlation(ours, theirs), *ranges]
 
 
 def cut(picture: np.ndarray, square: np.ndarray, side: int) -> np.ndarray:
@@ -298,7 +344,10 @@ def main() -> int:
             if options.overlay is not None:
                 rendered.draw(options.overlay)
         for path in options.real:
-            report.table([path.name, ""], of_real(path, options.overlay))
+            rows = of_real(path, options.overlay)
+            width = max(map(len, rows))
+            header = [path.name, "", "fit", "MediaPipe"][:width]
+            report.table(header, [one + [""] * (width - len(one)) for one in rows])
     except UserError as error:
         print(error, file=sys.stderr)
         return 1

@@ -45,7 +45,7 @@ def faces_of(tracking: Tracking, found: Correspondences, side: float) -> list[Fa
     pupils = model.moved(pose).points[:, -3:-1] - model.origin(pose)[:, None]
     points = np.concatenate([points, pupils], 1)
     own = (points - frames[:, None, :3, 3]) @ frames[:, :3, :3]
-    depth = np.asarray(-own[..., 2:])
+    depth = np.negative(own[..., 2:])
     size = lenses[:, None, :1, 0]
     flat = 0.5 + size * own[..., :2] * [1, -1] / depth
     middle = np.mean(depth, axis=1, keepdims=True)
