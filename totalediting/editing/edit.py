@@ -18,7 +18,6 @@ import av
 import numpy as np
 import torch
 from PIL import Image
-from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
 from assets_procedural.conventions import console, panorama_reading
@@ -26,9 +25,10 @@ from assets_procedural.conventions.colour import display, undisplay
 from assets_procedural.conventions.files import replacing, write_atomically
 from totalediting.data import frames
 from totalediting.data.clips import VIDEOS
-from totalediting.editing import relight, warp
-from totalediting.editing.bust import View, bust_of, view_of
 from totalediting.editing.track import Tracker, readable
+from totalediting.editing.warping import relight, warp
+from totalediting.editing.warping.bust import View, bust_of, view_of
+from totalediting.editing.warping.portrait import Portrait
 from totalediting.errors import InputError
 from totalediting.faces.matting import Matting
 from totalediting.geometry.tracking import Tracking
@@ -50,9 +50,7 @@ class Subject:
     square: np.ndarray
     """(3,) left, top and side, pixels of the picture."""
     tracking: Tracking
-    portrait: warp.Portrait
-    matte: np.ndarray
-    """(S, S)."""
+    portrait: Portrait
 
 
 class WarpEngine:
@@ -62,7 +60,7 @@ class WarpEngine:
         """Raises `InputError` and `NetworkError`: a file or network that cannot be used."""
         self.tracker, self.matting = Tracker(), Matting()
         self.subject = self._subject(appearance)
-        self._background = _without_person(self.subject.portrait.picture, self.subject.matte)
+        self._background = self.subject.portrait.background
         linear = undisplay(self.subject.portrait.picture)
         self._old = relight.light_of(self.subject.portrait, linear)
         self._new: relight.Light | None = None
@@ -89,13 +87,14 @@ class WarpEngine:
     def shown(self, tracking: Tracking) -> np.ndarray:
         """(H, W, 3) uint8: the photograph with the bust of a tracking (1, …)."""
         subject = self.subject
-        warped = warp.repose(subject.portrait, bust_of(tracking), subject.matte)
-        picture = warped.picture
+        warped = warp.repose(subject.portrait, bust_of(tracking))
+        picture = warped.person
         if self._new is not None or tracking is not subject.tracking:
             new = self._old if self._new is None else self._new
             linear = relight.relit(
                 undisplay(picture),
                 warped.raster.covered,
+                warped.skin,
                 (self._old, warped.normals_before),
                 (new, warped.normals),
             )
@@ -134,10 +133,9 @@ class WarpEngine:
         side = int(np.clip(round(square[2]), *_SIDES))
         view = view_of(tracking)
         cut = _cut(picture, square, side)
-        portrait = warp.portrait_of(
-            cut / 255, bust_of(tracking), View(view.frame, view.focal / _WIDER)
-        )
-        return Subject(picture, square, tracking, portrait, self.matting(cut))
+        view = View(view.frame, view.focal / _WIDER)
+        portrait = Portrait(cut / 255, self.matting(cut), bust_of(tracking), view)
+        return Subject(picture, square, tracking, portrait)
 
 
 def edit(appearance: Path, motion: Path | None, lighting: Path | None, out: Path) -> list[str]:
@@ -261,17 +259,3 @@ def _put_back(subject: Subject, picture: np.ndarray) -> np.ndarray:
     part = whole[y0:y1, x0:x1]
     whole[y0:y1, x0:x1] = (1 - share) * part + share * 255 * inside.clip(0, 1)
     return np.rint(whole).astype(np.uint8)
-
-
-def _without_person(picture: np.ndarray, matte: np.ndarray) -> np.ndarray:
-    """(S, S, 3) the background; behind the person, what is around, ever softer."""
-    known = (matte < 0.02).astype(np.float64)
-    found, trust = picture.copy(), np.ones(matte.shape)
-    side = len(picture)
-    for width in (side / 6, side / 12, side / 24, side / 48, side / 96):
-        share = gaussian_filter(known, width)
-        mean = np.stack([gaussian_filter(known * picture[..., k], width) for k in range(3)], -1)
-        mean /= share.clip(1e-9)[..., None]
-        found += trust[..., None] * (mean - found)
-        trust = np.clip(share / 0.3, 0, 1)
-    return known[..., None] * picture + (1 - known[..., None]) * found

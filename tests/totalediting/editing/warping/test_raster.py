@@ -1,6 +1,6 @@
 import numpy as np
 
-from totalediting.editing.raster import rasterise
+from totalediting.editing.warping.raster import rasterise
 
 SQUARE = np.array([[0, 1, 2], [0, 2, 3]])
 

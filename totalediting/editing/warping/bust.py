@@ -11,7 +11,7 @@ from scipy.spatial import KDTree
 from assets_procedural.body.head import HeadModel, Identity, vertex_normals
 from assets_procedural.body.landmarks import skin_weights
 from assets_procedural.motion.poses import ARKIT_NAMES, Pose
-from totalediting.editing.raster import Raster, rasterise
+from totalediting.editing.warping.raster import Raster, rasterise
 from totalediting.geometry.identity import identity_basis
 from totalediting.geometry.rig import camera_of
 from totalediting.geometry.space import ORIGIN_LANDMARKS

@@ -14,9 +14,10 @@ import numpy as np
 import torch
 from scipy.ndimage import gaussian_filter
 
-from totalediting.editing.bust import triangles
-from totalediting.editing.distances import distance, nearest
-from totalediting.editing.warp import Portrait
+from totalediting.editing.warping.bust import triangles
+from totalediting.editing.warping.distances import distance, nearest
+from totalediting.editing.warping.numbers import unit
+from totalediting.editing.warping.portrait import Portrait
 from totalediting.light.lightmaps import sample
 
 Light = Callable[[np.ndarray], np.ndarray]
@@ -33,7 +34,7 @@ _REDDER, _YELLOWER = 1.1, 1.0  # least of red over green and green over blue, fo
 def light_of(portrait: Portrait, linear: np.ndarray) -> Light:
     """The light of a portrait, whose picture (S, S, 3) in linear light is given."""
     raster = portrait.raster
-    normals = _unit(raster.interpolate(portrait.bust.normals, triangles()))
+    normals = unit(raster.interpolate(portrait.bust.normals, triangles()))
     red, green, blue = np.moveaxis(linear, -1, 0)
     skin = raster.covered & (red > _REDDER * green) & (green > _YELLOWER * blue)
     if skin.sum() < 0.05 * raster.covered.sum():  # a picture without colour, or tinted
@@ -75,23 +76,26 @@ def turned(light: Light, source: np.ndarray, target: np.ndarray) -> Light:
 def relit(
     linear: np.ndarray,
     covered: np.ndarray,
+    skin: np.ndarray,
     old: tuple[Light, np.ndarray],
     new: tuple[Light, np.ndarray],
 ) -> np.ndarray:
     """A picture (S, S, 3) in linear light under another one.
 
     `old` is the light that it was taken in, with the normals (S, S, 3) that its colours had then;
-    `new` the one to show it in, with those that they have now. `covered` (S, S) is the bust.
+    `new` the one to show it in, with those that they have now. `covered` (S, S) is the bust, `skin`
+    (S, S) from 0 to 1 what of it is lit as its own normals say: not what hair hides, nor teeth.
     """
     was, becomes = _levelled(*old, covered), _levelled(*new, covered)
     ratio = (becomes / was.clip(_DARKEST / 4, None)).clip(*_LIMITS)
     row, column = nearest(covered)
     side = len(linear)
-    near = np.stack([gaussian_filter(ratio[row, column, k], side / 42) for k in range(3)], -1)
-    fine = np.stack([gaussian_filter(ratio[row, column, k], side / 256) for k in range(3)], -1)
-    edge = (distance(covered) / (side / 64)).clip(0, 1)[..., None]
-    ratio = (1 - edge) * fine + edge * near
-    return linear * ratio
+    spread = ratio[row, column]
+    near = np.stack([gaussian_filter(spread[..., k], side / 42) for k in range(3)], -1)
+    fine = np.stack([gaussian_filter(spread[..., k], side / 256) for k in range(3)], -1)
+    share = (1 - distance(covered) / (side / 64)).clip(0, 1) * skin[row, column]
+    share = gaussian_filter(share, side / 256)[..., None]
+    return linear * (share * fine + (1 - share) * near)
 
 
 def _levelled(light: Light, normals: np.ndarray, covered: np.ndarray) -> np.ndarray:
@@ -107,7 +111,3 @@ def _harmonics(normals: np.ndarray) -> np.ndarray:
     return np.stack(
         [np.ones_like(x), x, y, z, x * y, y * z, 3 * z * z - 1, x * z, x * x - y * y], -1
     )
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-9)

@@ -1,0 +1,1 @@
+"""A photograph of a person, warped and relit, with nothing learnt."""
