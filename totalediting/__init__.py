@@ -12,11 +12,15 @@ from typing import TYPE_CHECKING, Any
 from assets_procedural import __version__
 
 if TYPE_CHECKING:
+    from totalediting.editing.editor import Editor
     from totalediting.light.lightmaps import bake
 
-__all__ = ["__version__", "bake"]
+__all__ = ["Editor", "__version__", "bake"]
 
-_HOMES = {"bake": "totalediting.light.lightmaps"}
+_HOMES = {
+    "Editor": "totalediting.editing.editor",
+    "bake": "totalediting.light.lightmaps",
+}
 
 
 def __getattr__(name: str) -> Any:

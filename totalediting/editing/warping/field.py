@@ -18,7 +18,7 @@ from scipy.ndimage import gaussian_filter
 from scipy.sparse.linalg import splu
 from torch.nn import functional
 
-from totalediting.editing.warping.bust import WholeBust, head_model
+from totalediting.editing.warping.bust import View, WholeBust, head_model
 from totalediting.editing.warping.distances import distance, nearest
 from totalediting.editing.warping.numbers import pixels, smooth
 from totalediting.editing.warping.portrait import Portrait
@@ -36,7 +36,12 @@ _TENSE = 0.02  # of the field's slope beside its bend: keeps it from overshootin
 
 
 def moved_along(
-    portrait: Portrait, bust: WholeBust, raster: Raster, own: np.ndarray, seen: np.ndarray
+    portrait: Portrait,
+    bust: WholeBust,
+    view: View,
+    raster: Raster,
+    own: np.ndarray,
+    seen: np.ndarray,
 ) -> np.ndarray:
     """(S, S, 2) places in the photograph, of all pixels of a new pose.
 
@@ -48,7 +53,7 @@ def moved_along(
     at = np.ix_(ticks.astype(int), ticks.astype(int))
     on = raster.covered[at]
 
-    shift = _beside(portrait, bust, raster, centres, at)
+    shift = _beside(portrait, bust, view, raster, centres, at)
     shift[on] = (own - pixels(side))[at][on]
     weight = np.where(on, _UNKNOWN + seen[at], _BESIDE)
     field = _bent_least(shift, weight)
@@ -63,27 +68,32 @@ def moved_along(
 
 
 def _beside(
-    portrait: Portrait, bust: WholeBust, raster: Raster, centres: np.ndarray, at: Any
+    portrait: Portrait,
+    bust: WholeBust,
+    view: View,
+    raster: Raster,
+    centres: np.ndarray,
+    at: Any,
 ) -> np.ndarray:
     """Shifts (N, N, 2) of places `centres`, as what is off the bust moves."""
     side = len(portrait.picture)
     # The depth of the nearest point of the bust, softened.
     row, column = nearest(raster.covered)
     depth = gaussian_filter(raster.depth[row, column], side / 64)
-    points = portrait.view.unproject(centres, depth[at], side)
+    points = view.unproject(centres, depth[at], side)
 
     skin, before = bust.skin, portrait.bust
     arrays = (bust.vertices, before.vertices, bust.normals, before.normals)
     control = Control(*(torch.from_numpy(values[skin]).float() for values in arrays))
     moved = mls(torch.from_numpy(points.reshape(-1, 3)).float(), control, clusters=_CLUSTERS)
-    places, _ = portrait.view.project(moved.position.double().numpy(), side)
-    shift = places.reshape(centres.shape) - centres
+    eyes = bust.vertices[head_model().groups["eye_left"], 2].mean()
+    with_head = smooth(points[..., 2:] - eyes, _CHIN, _LOBES)
+    moved = moved.position.double().numpy().reshape(points.shape)
+    places, _ = portrait.view.project(with_head * moved + (1 - with_head) * points, side)
 
     either = raster.covered | portrait.raster.covered
     share = 1 - smooth(distance(either)[at] / portrait.head_height, *_WITH_BUST)
-    eyes = bust.vertices[head_model().groups["eye_left"], 2].mean()
-    share = share * smooth(points[..., 2] - eyes, _CHIN, _LOBES)
-    return shift * share[..., None]
+    return (places - centres) * share[..., None]
 
 
 def _bent_least(values: np.ndarray, weight: np.ndarray) -> np.ndarray:

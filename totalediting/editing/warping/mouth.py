@@ -42,6 +42,7 @@ def with_mouth(
     colour: np.ndarray,
     portrait: Portrait,
     bust: WholeBust,
+    view: View,
     raster: Raster,
     inside: np.ndarray,
 ) -> np.ndarray:
@@ -55,7 +56,7 @@ def with_mouth(
         missing = 1.0
     if not missing:
         return colour
-    drawn = _drawn(portrait, bust, raster, inside)
+    drawn = _drawn(portrait, bust, view, raster, inside)
     # Teeth move with their jaws as a whole: what the photograph shows of them is theirs still.
     places, _ = portrait.view.project(
         raster.interpolate(portrait.bust.vertices, triangles()), len(colour)
@@ -69,12 +70,14 @@ def with_mouth(
     return (1 - share) * colour + share * drawn
 
 
-def _drawn(portrait: Portrait, bust: WholeBust, raster: Raster, inside: np.ndarray) -> np.ndarray:
+def _drawn(
+    portrait: Portrait, bust: WholeBust, view: View, raster: Raster, inside: np.ndarray
+) -> np.ndarray:
     group = _groups(raster)
     skin = portrait.picture[portrait.raster.covered & (portrait.matte > 0.5)]
     white = 1.0 if not len(skin) else float(np.percentile(skin.mean(-1), _BRIGHT))
     normals = raster.interpolate(bust.normals, triangles())
-    towards = portrait.view.frame[:3, 2]  # the camera looks the other way
+    towards = view.frame[:3, 2]  # the camera looks the other way
     facing = np.abs(normals @ towards)[..., None]
     depth = distance(~inside) / (_LET_IN * portrait.head_height)
     deep = (1 - 0.25 * smooth(depth, 0.0, 1.0))[..., None]

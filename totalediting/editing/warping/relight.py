@@ -11,14 +11,13 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-import torch
 from scipy.ndimage import gaussian_filter
 
+from assets_procedural.conventions.panorama import texel_directions
 from totalediting.editing.warping.bust import triangles
 from totalediting.editing.warping.distances import distance, nearest
 from totalediting.editing.warping.numbers import unit
 from totalediting.editing.warping.portrait import Portrait
-from totalediting.light.lightmaps import sample
 
 Light = Callable[[np.ndarray], np.ndarray]
 """From unit normals (..., 3) in model space to what falls on them (..., 3), of any scale."""
@@ -27,6 +26,8 @@ _ROUNDS, _STRAY = 8, 0.06  # of reweighting; linear light by which skin counts l
 _STIFF = 0.6  # ridge, in square roots of the number of pixels
 _DARKEST = 0.25  # of the light in the mean: below it, a picture tells nothing
 _ADAPTED = 0.5  # share of a light's tint that a camera's white balance takes out
+_OF_FACE = 0.6  # of the exposure that goes by the face; the rest goes by all directions
+_SPHERE = texel_directions(8).reshape(-1, 3)
 _LIMITS = (0.15, 4.0)  # of the ratio
 _REDDER, _YELLOWER = 1.1, 1.0  # least of red over green and green over blue, for skin
 
@@ -58,51 +59,42 @@ def light_of(portrait: Portrait, linear: np.ndarray) -> Light:
     return light
 
 
-def panorama_light(lightmaps: torch.Tensor) -> Light:
-    """That of baked lightmaps (5, 3, H, 2H) in the world's axes, which the trunk looks along."""
-
-    def light(directions: np.ndarray) -> np.ndarray:
-        flat = torch.from_numpy(directions.reshape(-1, 3)).float()
-        return sample(lightmaps[0], flat).double().numpy().reshape(directions.shape)
-
-    return light
-
-
-def turned(light: Light, source: np.ndarray, target: np.ndarray) -> Light:
-    """A light of one camera (3, 3), axes in its model space, before another one."""
-    return lambda directions: light(directions @ target @ source.T)
-
-
-def relit(
-    linear: np.ndarray,
-    covered: np.ndarray,
-    skin: np.ndarray,
-    old: tuple[Light, np.ndarray],
-    new: tuple[Light, np.ndarray],
+def ratio_of(
+    covered: np.ndarray, skin: np.ndarray, was: np.ndarray, becomes: np.ndarray
 ) -> np.ndarray:
-    """A picture (S, S, 3) in linear light under another one.
+    """(S, S, 3) by what a picture in linear light is multiplied to be in another one.
 
-    `old` is the light that it was taken in, with the normals (S, S, 3) that its colours had then;
-    `new` the one to show it in, with those that they have now. `covered` (S, S) is the bust, `skin`
-    (S, S) from 0 to 1 what of it is lit as its own normals say: not what hair hides, nor teeth.
+    `was` (S, S, 3) is the light that fell on its points when it was taken, `becomes` the one to
+    show it in. `covered` (S, S) is the bust, `skin` (S, S) from 0 to 1 what of it is lit as its own
+    normals say: not what hair hides, nor teeth.
     """
-    was, becomes = _levelled(*old, covered), _levelled(*new, covered)
     ratio = (becomes / was.clip(_DARKEST / 4, None)).clip(*_LIMITS)
     row, column = nearest(covered)
-    side = len(linear)
+    side = len(covered)
     spread = ratio[row, column]
     near = np.stack([gaussian_filter(spread[..., k], side / 42) for k in range(3)], -1)
     fine = np.stack([gaussian_filter(spread[..., k], side / 256) for k in range(3)], -1)
     share = (1 - distance(covered) / (side / 64)).clip(0, 1) * skin[row, column]
     share = gaussian_filter(share, side / 256)[..., None]
-    return linear * (share * fine + (1 - share) * near)
+    return share * fine + (1 - share) * near
 
 
-def _levelled(light: Light, normals: np.ndarray, covered: np.ndarray) -> np.ndarray:
-    """(S, S, 3) a light on normals, of mean 1 where the bust is, half of its tint taken out."""
-    shown = light(normals)
-    mean = shown[covered].mean(0)
-    return shown / (mean**_ADAPTED * mean.mean() ** (1 - _ADAPTED)).clip(1e-6)
+class Levelled:
+    """A light as a camera exposes for it that is set between the face and all around.
+
+    Half of the tint goes, as white balance has it, and half of how bright the face is in it.
+    """
+
+    def __init__(self, light: Light, face: np.ndarray) -> None:
+        """`face` (N, 3) are the normals of the photograph's bust."""
+        self.light = light
+        mean, around = light(face).mean(0), light(_SPHERE).mean()
+        exposed = mean.mean() ** _OF_FACE * around ** (1 - _OF_FACE)
+        tint = (mean / mean.mean().clip(1e-9)).clip(1e-3) ** _ADAPTED
+        self.scale = 1 / (exposed * tint).clip(1e-6)
+
+    def __call__(self, normals: np.ndarray) -> np.ndarray:
+        return self.light(normals) * self.scale
 
 
 def _harmonics(normals: np.ndarray) -> np.ndarray:

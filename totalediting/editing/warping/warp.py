@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from totalediting.editing.warping.bust import WholeBust, head_model, opposite, triangles
+from totalediting.editing.warping.bust import View, WholeBust, head_model, opposite, triangles
 from totalediting.editing.warping.distances import distance, nearest
 from totalediting.editing.warping.field import moved_along
 from totalediting.editing.warping.mouth import inside_lips, with_mouth
@@ -50,20 +50,30 @@ class Warped(NamedTuple):
     """(S, S) from 0 to 1, where the bust's own surface shows: not under hair or in the mouth."""
 
 
-def repose(portrait: Portrait, bust: WholeBust) -> Warped:
-    """The portrait with another bust of the same person, before the same camera."""
+def unmoved(portrait: Portrait) -> Warped:
+    """The portrait in its own pose."""
+    normals = portrait.normals
+    inside = inside_lips(portrait.view, portrait.bust, portrait.raster)
+    front = portrait.raster.interpolate(_regions(), triangles())[..., 1]
+    skin = front * ~inside
+    return Warped(portrait.person, portrait.matte, portrait.raster, normals, normals, skin)
+
+
+def repose(portrait: Portrait, bust: WholeBust, view: View | None = None) -> Warped:
+    """The portrait with another bust of the same person, before another camera or the same."""
+    view = view or portrait.view
     side = len(portrait.picture)
     soft = _SOFT * side / 512
-    raster = bust.raster(portrait.view, side)
+    raster = bust.raster(view, side)
     normals = unit(raster.interpolate(bust.normals, triangles()))
     before = unit(raster.interpolate(portrait.bust.normals, triangles()))
-    inside = inside_lips(portrait.view, bust, raster)
+    inside = inside_lips(view, bust, raster)
     face, front = (raster.interpolate(_regions(), triangles())[..., k] for k in (0, 1))
 
     own, seen = _look_up(portrait, raster, portrait.bust.vertices, before)
     # Hair lies over skull and ears: there, what is near tells more than the surface.
     seen = seen * ~inside
-    near = moved_along(portrait, bust, raster, own, seen * front)
+    near = moved_along(portrait, bust, view, raster, own, seen * front)
     share = np.minimum(gaussian_filter(seen * front, soft), front)[..., None]
     places = share * own + (1 - share) * near
     colour = sampled(portrait.person, places)
@@ -76,7 +86,7 @@ def repose(portrait: Portrait, bust: WholeBust) -> Warped:
     # Where neither is seen, the own place is the better guess.
     take = gaussian_filter((1 - seen) * other_seen * face * ~inside, soft)[..., None]
     colour = (1 - take) * colour + take * opposed
-    colour = with_mouth(colour, portrait, bust, raster, inside)
+    colour = with_mouth(colour, portrait, bust, view, raster, inside)
     matte = np.maximum(sampled(portrait.matte[..., None], places)[..., 0], face)
 
     around = _beyond_outline(near, raster, portrait)
