@@ -288,3 +288,20 @@ def test_where_every_video_ends_early_it_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"talk.mp4: talk.mp4 ends early: \d+ of 20 frames") as e:
         Clips(tmp_path, PRESETS["tiny"])[0]
     assert "\n" not in str(e.value)
+
+
+def test_edits_that_cannot_be_are_one_line(totalediting: Run, tmp_path: Path):
+    def edit(*words: object) -> Answer:
+        return totalediting("edit", "--appearance", *words, "--out", tmp_path / "o.png")
+
+    nowhere = tmp_path / "nowhere.png"
+    for answer, said in (
+        (edit(nowhere, "--background", "blur"), "no such file"),
+        (edit(nowhere), "nothing to edit"),
+        (edit(nowhere, "--view", "left"), "give 2 angles"),
+        (edit(nowhere, "--view", "nan,0"), "give degrees"),
+        (edit(nowhere, "--rotate-light", "nan"), "give degrees"),
+        (edit(nowhere, "--background", "grue"), "give keep"),
+    ):
+        assert said in answer.error
+    assert not (tmp_path / "o.png").exists()

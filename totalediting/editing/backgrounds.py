@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 from PIL import Image, ImageColor
-from scipy.ndimage import gaussian_filter
 
 from totalediting.data import frames
 from totalediting.editing.lights import Panorama
 from totalediting.editing.sources import read_photograph
 from totalediting.editing.subject import Subject
 from totalediting.editing.warping.bust import View
+from totalediting.editing.warping.numbers import blurred
 from totalediting.errors import InputError
 
 WORDS = ("keep", "blur", "light")
@@ -58,9 +58,7 @@ def behind(
     if background == "keep":
         return None
     if background == "blur":
-        deviation = _BLUR * max(height, width)
-        own = subject.background
-        return np.stack([gaussian_filter(own[..., k], deviation) for k in range(3)], -1)
+        return blurred(subject.background, _BLUR * max(height, width))
     if background == "light":
         if isinstance(light, Panorama):
             return _seen(light, subject, view)

@@ -11,16 +11,17 @@ from dataclasses import dataclass
 
 import numpy as np
 from PIL import Image
-from scipy.ndimage import gaussian_filter
 
 from assets_procedural.conventions.colour import display, undisplay
 from totalediting.editing.subject import Subject
+from totalediting.editing.warping.numbers import blurred
 from totalediting.editing.warping.portrait import filled_in
 
 _BAND = 4_000_000  # pixels at once
 _RIM = 0.06  # of the square's side, over which it gives way to the picture around
 _MIXED, _SURE = 0.5, 0.9  # of the matte: colours are the background's too; the person's own
 _HOLE = 8.0  # times the matte of the photograph, where the background is filled in
+_SOFT = 256  # pixels of the longer side, in which light goes on around the square
 _NOTHING = 1 / 512  # of the matte
 
 
@@ -134,9 +135,11 @@ def _shown(
 
 
 def _whole_ratio(subject: Subject, ratio: np.ndarray) -> np.ndarray:
-    """(h, w, 3) the ratio (S, S, 3) of the square, going on softly around it."""
-    height, width = subject.matte.shape
-    scale = width / subject.picture.shape[1]
+    """(h, w, 3) the ratio (S, S, 3) of the square, going on softly around it; coarse."""
+    high, wide = subject.picture.shape[:2]
+    scale = min(1.0, _SOFT / max(high, wide))
+    height, width = max(1, round(high * scale)), max(1, round(wide * scale))
+    scale = width / wide
     left, top, edge = subject.square * scale
     x0, x1 = max(int(np.ceil(left)), 0), min(int(left + edge), width)
     y0, y1 = max(int(np.ceil(top)), 0), min(int(top + edge), height)
@@ -148,7 +151,7 @@ def _whole_ratio(subject: Subject, ratio: np.ndarray) -> np.ndarray:
     laid[y0:y1, x0:x1] = _resized(ratio, (x1 - x0, y1 - y0), box)
     known[y0:y1, x0:x1] = True
     found = filled_in(laid, known)
-    return np.stack([gaussian_filter(found[..., k], edge / 16) for k in range(3)], -1)
+    return blurred(found, edge / 16)
 
 
 def _resized(

@@ -156,7 +156,7 @@ def _check(job: Job) -> None:
             f"{WIDEST_VIEW:g}"
         )
     backgrounds.check(job.background, job.lighting is not None)
-    for path in (job.motion, job.lighting):
+    for path in (job.appearance, job.motion, job.lighting):
         if path is not None and not path.exists() and ":" not in str(path):
             raise InputError(f"{path}: no such file; check the path")
     suffix = job.out.suffix.lower()

@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 import torch
+from PIL import Image
+from scipy.ndimage import gaussian_filter
 from torch.nn import functional
 
 
@@ -24,6 +26,24 @@ def pixels(side: int) -> np.ndarray:
     """(S, S, 2) centres of pixels, x right and y down."""
     ticks = np.arange(side) + 0.5
     return np.stack(np.meshgrid(ticks, ticks), -1)
+
+
+def blurred(values: np.ndarray, width: float) -> np.ndarray:
+    """(H, W, C) under a Gaussian of deviation `width` in pixels; wide ones on a coarser grid."""
+    coarse = max(1, int(width / 3))
+    planes = [Image.fromarray(values[..., k].astype(np.float32)) for k in range(values.shape[-1])]
+    small = [np.asarray(plane.reduce(coarse)) for plane in planes]
+    soft = [gaussian_filter(plane, width / coarse, mode="nearest") for plane in small]
+    if coarse == 1:
+        return np.stack(soft, -1)
+    # The last blocks may reach over the edge.
+    high, wide = (size / coarse for size in values.shape[:2])
+    size = (values.shape[1], values.shape[0])
+    large = [
+        Image.fromarray(plane).resize(size, Image.Resampling.BICUBIC, box=(0, 0, wide, high))
+        for plane in soft
+    ]
+    return np.stack([np.asarray(plane) for plane in large], -1)
 
 
 def sampled(picture: np.ndarray, places: np.ndarray) -> np.ndarray:

@@ -6,10 +6,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.ndimage import gaussian_filter
 
 from totalediting.editing.warping.bust import View, WholeBust, triangles
-from totalediting.editing.warping.numbers import unit
+from totalediting.editing.warping.numbers import blurred, unit
 from totalediting.editing.warping.raster import Raster
 
 _CHIN = -0.12  # metres above the eyes
@@ -60,13 +59,13 @@ def filled_in(picture: np.ndarray, known: np.ndarray) -> np.ndarray:
     """A picture (H, W, 3) whose pixels that are not `known` (H, W) follow from those around."""
     if known.all() or not known.any():
         return picture
-    weight, found, trust = known.astype(np.float64), picture.copy(), np.ones(known.shape)
+    weight, trust = known[..., None].astype(np.float32), np.ones((*known.shape, 1), np.float32)
+    seen, found = weight * picture, np.zeros_like(picture)
     # Coarse answers first, finer ones over them where these have neighbours.
     for parts in _WIDTHS:
         width = max(known.shape) / parts
-        share = gaussian_filter(weight, width)
-        mean = np.stack([gaussian_filter(weight * picture[..., k], width) for k in range(3)], -1)
-        mean /= share.clip(1e-9)[..., None]
-        found += trust[..., None] * (mean - found)
+        share = blurred(weight, width).clip(0, None)
+        mean = blurred(seen, width) / share.clip(1e-6)
+        found += trust * (mean - found)
         trust = np.clip(share / 0.3, 0, 1)
     return np.where(known[..., None], picture, found)

@@ -25,8 +25,11 @@ class Raster(NamedTuple):
 
     def interpolate(self, values: np.ndarray, triangles: np.ndarray) -> np.ndarray:
         """(H, W, C) of values (V, C) at the corners of triangles (F, 3); 0 where there is none."""
-        corners = values[triangles[self.triangle.clip(0)]]
-        return (corners * self.shares[..., None]).sum(-2)
+        on = self.covered
+        found = np.zeros((*on.shape, values.shape[-1]))
+        corners = values[triangles[self.triangle[on]]]
+        found[on] = np.einsum("nkc,nk->nc", corners, self.shares[on])
+        return found
 
 
 def rasterise(

@@ -16,7 +16,7 @@ from scipy.ndimage import gaussian_filter
 from assets_procedural.conventions.panorama import texel_directions
 from totalediting.editing.warping.bust import triangles
 from totalediting.editing.warping.distances import distance, nearest
-from totalediting.editing.warping.numbers import unit
+from totalediting.editing.warping.numbers import blurred, unit
 from totalediting.editing.warping.portrait import Portrait
 
 Light = Callable[[np.ndarray], np.ndarray]
@@ -72,8 +72,7 @@ def ratio_of(
     row, column = nearest(covered)
     side = len(covered)
     spread = ratio[row, column]
-    near = np.stack([gaussian_filter(spread[..., k], side / 42) for k in range(3)], -1)
-    fine = np.stack([gaussian_filter(spread[..., k], side / 256) for k in range(3)], -1)
+    near, fine = blurred(spread, side / 42), blurred(spread, side / 256)
     share = (1 - distance(covered) / (side / 64)).clip(0, 1) * skin[row, column]
     share = gaussian_filter(share, side / 256)[..., None]
     return share * fine + (1 - share) * near
