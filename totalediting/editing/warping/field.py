@@ -29,7 +29,7 @@ from totalediting.geometry.moving_least_squares import mls
 _CELLS = 64  # of the field, along a side
 _CLUSTERS = 256
 _WITH_BUST = (0.12, 0.6)  # heights of the head off the bust: moves as the bust; does not move
-_CHIN, _LOBES = -0.11, -0.03  # metres above the eyes: what is beside and lower stays with the trunk
+_WITH_HEAD = (-0.06, 0.03)  # metres above the eyes: what is beside moves with the trunk; the head
 _RIM = 0.12  # of the picture's side, from its border, in which motion fades
 _UNKNOWN, _BESIDE = 1e-3, 0.03  # weights of what is not seen, and of what is off the bust
 _TENSE = 0.02  # of the field's slope beside its bend: keeps it from overshooting
@@ -87,7 +87,7 @@ def _beside(
     control = Control(*(torch.from_numpy(values[skin]).float() for values in arrays))
     moved = mls(torch.from_numpy(points.reshape(-1, 3)).float(), control, clusters=_CLUSTERS)
     eyes = bust.vertices[head_model().groups["eye_left"], 2].mean()
-    with_head = smooth(points[..., 2:] - eyes, _CHIN, _LOBES)
+    with_head = smooth(points[..., 2:] - eyes, *_WITH_HEAD)
     moved = moved.position.double().numpy().reshape(points.shape)
     places, _ = portrait.view.project(with_head * moved + (1 - with_head) * points, side)
 

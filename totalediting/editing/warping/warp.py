@@ -18,7 +18,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from totalediting.editing.warping.bust import View, WholeBust, head_model, opposite, triangles
-from totalediting.editing.warping.distances import distance, nearest
+from totalediting.editing.warping.distances import nearest
 from totalediting.editing.warping.field import moved_along
 from totalediting.editing.warping.mouth import inside_lips, with_mouth
 from totalediting.editing.warping.numbers import sampled, smooth, unit
@@ -29,7 +29,6 @@ _SAME_DEPTH = 8e-3  # metres behind what is seen, within which a point counts as
 _FACING = (0.1, 0.45)  # cosine from which a point is seen, and seen well
 _SOFT = 2.0  # pixels at S = 512 over which what is seen gives way to what is not
 _EDGE = 0.7  # pixels at S = 512, deviation of the outline's blur
-_LET_BE = (0.05, 0.14)  # sides off the new outline from which places stay
 _OF_PERSON = (0.3, 0.7)  # of the matte: a place shows the background; the person
 
 
@@ -89,9 +88,8 @@ def repose(portrait: Portrait, bust: WholeBust, view: View | None = None) -> War
     colour = with_mouth(colour, portrait, bust, view, raster, inside)
     matte = np.maximum(sampled(portrait.matte[..., None], places)[..., 0], face)
 
-    around = _beyond_outline(near, raster, portrait)
-    beside = sampled(portrait.person, around)
-    matte_beside = sampled(portrait.matte[..., None], around)[..., 0]
+    beside = sampled(portrait.person, near)
+    matte_beside = sampled(portrait.matte[..., None], near)[..., 0]
     # Over the outline the bust's colours go on, so that its edge is no staircase.
     row, column = nearest(raster.covered)
     on = gaussian_filter(raster.covered.astype(np.float64), _EDGE * side / 512)
@@ -117,39 +115,6 @@ def _look_up(
     facing = smooth((normals * towards).sum(-1), *_FACING)
     person = smooth(portrait.matte[row, column], *_OF_PERSON)
     return places, np.where(raster.covered & shown, facing * person, 0.0)
-
-
-def _beyond_outline(places: np.ndarray, raster: Raster, portrait: Portrait) -> np.ndarray:
-    """Places (S, S, 2), those of what is beside the jaw moved off the jaw of the photograph.
-
-    A turn shows points at its outline that were on the cheek or behind it. What is beside the
-    outline now is looked up as far beside the outline then; above, there is hair, which goes along.
-    """
-    side = len(places)
-    now, then = _outside(raster.covered), _outside(portrait.raster.covered)
-    slope = np.stack(np.gradient(gaussian_filter(then, side / 256 * 1.5))[::-1], -1)
-    below = raster.interpolate(_below_ears()[:, None], triangles())[..., 0]
-    row, column = nearest(raster.covered)
-    share = gaussian_filter(below[row, column], side / 100) * (1 - smooth(now / side, *_LET_BE))
-    found = places
-    for _ in range(3):
-        row, column = (found[..., k].astype(int).clip(0, side - 1) for k in (1, 0))
-        short = np.where(now > 0, share * (now - then[row, column]), 0.0).clip(0, None)
-        found = found + short[..., None] * unit(slope[row, column])
-    return found
-
-
-def _outside(covered: np.ndarray) -> np.ndarray:
-    """(S, S) pixels off what is covered; within it, below 0."""
-    return distance(covered) - distance(~covered)
-
-
-@lru_cache(maxsize=1)
-def _below_ears() -> np.ndarray:
-    """(V,) 1 at jaw and neck, 0 above the ears' lobes and on the shoulders."""
-    model = head_model()
-    height = (model.template - model.template[model.groups["eye_left"]].mean(0))[:, 2]
-    return smooth(-height, 0.03, 0.06) * (1 - smooth(-height, 0.16, 0.2))
 
 
 @lru_cache(maxsize=1)

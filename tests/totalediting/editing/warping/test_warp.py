@@ -6,7 +6,14 @@ from synthetic_faces import a_tracking
 
 from assets_procedural.motion.poses import ARKIT_NAMES
 from totalediting.editing.warping import field, relight, warp
-from totalediting.editing.warping.bust import GROUPS, bust_of, group_of_triangle, triangles, view_of
+from totalediting.editing.warping.bust import (
+    GROUPS,
+    bust_of,
+    group_of_triangle,
+    head_model,
+    triangles,
+    view_of,
+)
 from totalediting.editing.warping.mouth import inside_lips
 from totalediting.editing.warping.portrait import Portrait
 from totalediting.geometry.rig import control_of
@@ -111,3 +118,17 @@ def test_an_opened_mouth_has_bright_teeth_and_a_dark_inside(portrait, tracking):
     teeth = found.person[group == GROUPS.index("teeth_upper")].mean()
     dark = np.percentile(found.person[inside].mean(-1), 10)
     assert teeth > 0.3 and dark < 0.25
+
+
+def test_a_collar_beside_the_chin_stays_and_hair_beside_the_eyes_goes_along(portrait, tracking):
+    bust = bust_of(tracking._replace(head=torch.tensor([[0.0, 0.3, 0.0]])))
+    raster = bust.raster(portrait.view, SIDE)
+    own = np.stack(np.meshgrid(*2 * [np.arange(SIDE) + 0.5]), -1)
+    seen = np.zeros((SIDE, SIDE))
+    places = field.moved_along(portrait, bust, portrait.view, raster, own, seen)
+    eyes = bust.vertices[head_model().groups["eye_left"]].mean(0)
+    shifts = []
+    for height in (0.03, -0.13):
+        (x, y), _ = portrait.view.project(np.array([0.12, eyes[1] + 0.1, eyes[2] + height]), SIDE)
+        shifts.append(np.abs(places[int(y), int(x)] - own[int(y), int(x)]).max())
+    assert shifts[0] > 2 and shifts[1] < 1
