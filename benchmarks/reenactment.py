@@ -71,10 +71,18 @@ def relit(batch: PortraitPair) -> PortraitPair:
     """The motion shot as its own source, to be shown in its other light."""
     assert batch.relit is not None
     frontal = frontalise(batch.mot_image, batch.control, batch.camera_to_world, batch.intrinsics)
+    source = batch.app._replace(
+        image=batch.mot_image,
+        alpha=batch.alpha,
+        code=batch.mot_code,
+        control=batch.control,
+        camera_to_world=batch.camera_to_world,
+        intrinsics=batch.intrinsics,
+        lightmaps=batch.lightmaps,
+    )
     return batch._replace(
-        app_image=batch.mot_image,
+        app=source,
         app_frontal=frontal,
-        app_code=batch.mot_code,
         mot_image=batch.relit.image,
         lightmaps=batch.relit.lightmaps,
     )
@@ -99,7 +107,7 @@ def main() -> None:
         across.add("model", edit_of(model, batch, None).image, truth, matte)
         if plain is not None:
             across.add("plain decoder", edit_of(plain, batch, None).image, truth, matte)
-        across.add("the source itself", batch.app_image, truth, matte)
+        across.add("the source itself", batch.app.image, truth, matte)
         across.add("the mean training picture", mean.expand_as(truth), truth, matte)
 
         lit = relit(batch)

@@ -30,7 +30,7 @@ from totalediting.data.pairs import PortraitPair
 from totalediting.geometry.frontal import frontalise
 from totalediting.geometry.identity import faces_of
 from totalediting.geometry.rig import camera_of, control_of
-from totalediting.light.lightmaps import encode, rotate
+from totalediting.light.lightmaps import encode
 from totalediting.model import Edit, TotalEditing
 from totalediting.networks import discriminator, lightmap_estimator
 from totalediting.networks.discriminator import Discriminator
@@ -209,7 +209,7 @@ class JointStage(PairStage):
 
     def _synthetic(self, batch: PortraitPair, step: int) -> Loss:
         joint, factors = self.network, self.weights.at(step)
-        generator = generator_on(batch.app_image.device)
+        generator = generator_on(batch.mot_image.device)
         to_camera = batch.camera_to_world[:, :3, :3].mT
         code = joint.estimator(batch.mot_image).code
         seen, to_light = None, None
@@ -220,11 +220,8 @@ class JointStage(PairStage):
         table = self.deformation(joint.model, batch)
         edit = edit_of(joint.model, batch, generator, seen, to_light, control=table)
         found = terms(joint.model, edit, truth_of(batch), factors, generator)
-        truth = rotate(batch.lightmaps, batch.camera_to_world[:, :3, :3])
-        weights = self.texels.to(code.device)
-        found["lightmap"] = losses.lightmap_loss(
-            code, encode(lightmap_estimator.fold(truth)), weights
-        )
+        truth = encode(lightmap_estimator.fold(batch.seen_lightmaps))
+        found["lightmap"] = losses.lightmap_loss(code, truth, self.texels.to(code.device))
         image, target = batch.alpha * edit.image, batch.alpha * batch.mot_image
         if self.lpips is not None:
             found["lpips"] = self.lpips.to(image.device)(image, target).mean()

@@ -106,7 +106,7 @@ class ReconstructStage(PairStage):
         self.network = TotalEditing(preset, faces)
 
     def loss(self, network: nn.Module, batch: PortraitPair, step: int) -> Loss:
-        generator = generator_on(batch.app_image.device)
+        generator = generator_on(batch.app.image.device)
         window = window_in(self.network.preset)
         table = self.deformation(self.network, batch)
         edit = edit_of(network, batch, generator, window=window, control=table)
@@ -155,9 +155,9 @@ def edit_of(
 ) -> Edit:
     """The edit that should be the batch's target; in its true light, or in another."""
     return network(
-        batch.app_image,
+        batch.app.image,
         batch.app_frontal,
-        batch.app_code,
+        batch.app.code,
         batch.mot_code,
         batch.control if control is None else control,
         batch.camera_to_world,
@@ -171,33 +171,39 @@ def edit_of(
 
 def validate(network: nn.Module, pairs: PortraitPairs, most: int) -> Validation:
     """Judge a model by its PSNR on the first `most` pairs of held-out people; beside it stands the
-    PSNR of returning the source."""
+    PSNR of returning the source. All pictures are over black."""
     device = next(network.parameters()).device
-    errors: dict[str, list[Tensor]] = {"psnr": [], "source": [], "normal": [], "albedo": []}
+    found: dict[str, list[Tensor]] = {}
     picture = None
     for samples in loader(pairs, _VALIDATION_BATCH, stop=min(most, len(pairs))):
         batch = to_device(samples, device)
         edit = edit_of(network, batch, None)
-        errors["psnr"].append(metrics.psnr(edit.image, batch.mot_image, batch.alpha))
-        errors["source"].append(metrics.psnr(batch.app_image, batch.mot_image, batch.alpha))
         size = batch.normal.shape[-2:]
         normal, albedo = (
             functional.interpolate(part, size, mode="bilinear")
             for part in (edit.rendering.normal, edit.rendering.albedo)
         )
-        errors["normal"].append(metrics.normal_error(normal, batch.normal, batch.alpha))
         difference = (albedo - batch.alpha * batch.albedo).abs() * batch.alpha
-        errors["albedo"].append(difference.mean((1, 2, 3)) / batch.alpha.mean((1, 2, 3)))
+        shown, truth, matte = over_black(batch, edit), batch.foreground, batch.alpha
+        values = {
+            **metrics.picture_figures(shown, truth, matte),
+            **metrics.source_figures(batch.app.image, truth, matte),
+            "normal_error": metrics.normal_error(normal, batch.normal, matte),
+            "albedo_error": difference.mean((1, 2, 3)) / matte.mean((1, 2, 3)),
+        }
+        for name, value in values.items():
+            found.setdefault(name, []).append(value)
         picture = picture if picture is not None else edit_picture(batch, edit)
-    found = {name: torch.cat(values) for name, values in errors.items()}
-    figures = {
-        "psnr": float(found["psnr"].mean()),
-        "source_psnr": float(found["source"].mean()),
-        "normal_error": float(found["normal"].nanmean()),
-        "albedo_error": float(found["albedo"].mean()),
-    }
+    figures = {name: float(torch.cat(values).nanmean()) for name, values in found.items()}
     assert picture is not None  # a split is never empty
     return Validation(-figures["psnr"], figures, {"edit": picture})
+
+
+def over_black(batch: PortraitPair, edit: Edit) -> Tensor:
+    """(B, 3, S, S) the result where the background does not count: a transparent set is judged over
+    black, of an opaque one the true matte cuts it out."""
+    known = batch.transparent[:, None, None, None]
+    return torch.where(known, edit.image, batch.alpha * edit.image)
 
 
 def decomposition(edit: Edit, camera_to_world: Tensor) -> dict[str, Tensor]:
@@ -220,6 +226,6 @@ def edit_picture(batch: PortraitPair, edit: Edit) -> Tensor:
     size = batch.mot_image.shape[-2:]
     parts = decomposition(edit, batch.camera_to_world).values()
     large = [functional.interpolate(part, size, mode="bilinear") for part in parts]
-    cells = [batch.app_image, batch.mot_image, batch.alpha * edit.image, *large]
+    cells = [batch.app.image, batch.mot_image, over_black(batch, edit), *large]
     rows = torch.cat(cells, -1)[:4]
     return torch.cat(list(rows), -2).cpu()

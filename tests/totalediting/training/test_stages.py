@@ -274,7 +274,7 @@ def test_static_pairs_come_first(small_dataset: Path) -> None:
     stage = ReconstructStage(small_dataset, PRESETS["tiny"], seed=0, workers=0, static_steps=3)
     batches = stage.batches(0, 4, 0, 1)
     found = [next(batches) for _ in range(6)]
-    same = [torch.equal(batch.app_code, batch.mot_code) for batch in found]
+    same = [torch.equal(batch.app.code, batch.mot_code) for batch in found]
     assert same[:3] == [True] * 3 and not all(same[3:])
     for first in (1, 3, 5):
         again = next(stage.batches(first, 4, 0, 1))
