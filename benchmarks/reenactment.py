@@ -21,7 +21,6 @@ from torch import Tensor
 
 from totalediting.data.endless import loader
 from totalediting.data.pairs import PortraitPair, PortraitPairs
-from totalediting.geometry.frontal import frontalise
 from totalediting.model import TotalEditing
 from totalediting.pretrained.fetch import NetworkError
 from totalediting.pretrained.lpips import Lpips
@@ -70,7 +69,6 @@ def mean_picture(data: Path, model: TotalEditing) -> Tensor:
 def relit(batch: PortraitPair) -> PortraitPair:
     """The motion shot as its own source, to be shown in its other light."""
     assert batch.relit is not None
-    frontal = frontalise(batch.mot_image, batch.control, batch.camera_to_world, batch.intrinsics)
     source = batch.app._replace(
         image=batch.mot_image,
         alpha=batch.alpha,
@@ -82,7 +80,6 @@ def relit(batch: PortraitPair) -> PortraitPair:
     )
     return batch._replace(
         app=source,
-        app_frontal=frontal,
         mot_image=batch.relit.image,
         lightmaps=batch.relit.lightmaps,
     )

@@ -25,6 +25,8 @@ class Preset:
     """Channels of the appearance encoder's global branch, on a grid of side S / 8."""
     detail_channels: int
     """Channels of its detail branch, on a grid of side S / 2."""
+    aligned_channels: int
+    """How many of its features every shaded point sees, looked up where the source shows it."""
     tokens: int
     """Side of the square grid of tokens that deenactor and reenactor work on."""
     token_dim: int
@@ -49,9 +51,13 @@ class Preset:
     features: int
     """Extra channels w that enter super-resolution along with colour."""
     coarse_samples: int
-    """Samples on a ray in the first pass."""
+    """Samples on a ray in the first pass, with `samples` "importance"."""
     fine_samples: int
     """Samples that importance adds in the second."""
+    skin_samples: int
+    """Samples on a ray about the bust's skin, with `samples` "surface"."""
+    hair_samples: int
+    """Samples before and behind it, where hair and clothes are."""
     upsample_channels: int
     """Channels of the super-resolution's and the background's convolutions."""
 
@@ -74,8 +80,17 @@ class Preset:
     """What turns normals; "none" leaves the canonical ones."""
     decoder: Literal["phong", "plain"] = "phong"
     """Decomposed shading, or the baseline's single colour that ignores light."""
+    samples: Literal["surface", "importance"] = "surface"
+    """Where rays are sampled: where the bust is, or in two passes, as the paper."""
+    residual: Literal["linear", "paper"] = "linear"
+    """Residual light as a sum of shadings, which adds up as light does, or the paper's form."""
     colour: Literal["linear", "srgb"] = "linear"
     """What shading is composed and rendered in; linear light then passes the display curve."""
+
+    weights: Literal["ours", "paper"] = "ours"
+    """Weights of the losses: balanced, or the paper's plain sum."""
+    freeze: Literal["paper", "none"] = "paper"
+    """Whether the stage joint keeps E_app and F_de as they are, as the paper does."""
 
 
 PRESETS = {
@@ -88,6 +103,7 @@ PRESETS = {
             window=32,
             global_channels=64,
             detail_channels=32,
+            aligned_channels=8,
             tokens=16,
             token_dim=128,
             heads=4,
@@ -101,6 +117,8 @@ PRESETS = {
             features=13,
             coarse_samples=16,
             fine_samples=16,
+            skin_samples=10,
+            hair_samples=6,
             upsample_channels=32,
             lightmap_height=16,
             light_directions=128,
@@ -115,6 +133,7 @@ PRESETS = {
             window=64,
             global_channels=256,
             detail_channels=64,
+            aligned_channels=16,
             tokens=32,
             token_dim=512,
             heads=8,
@@ -128,6 +147,8 @@ PRESETS = {
             features=29,
             coarse_samples=36,
             fine_samples=36,
+            skin_samples=14,
+            hair_samples=10,
             upsample_channels=64,
             lightmap_height=32,
             light_directions=512,
@@ -141,6 +162,7 @@ PRESETS = {
             window=64,
             global_channels=256,
             detail_channels=96,
+            aligned_channels=16,
             tokens=32,
             token_dim=1024,
             heads=16,
@@ -154,6 +176,8 @@ PRESETS = {
             features=29,
             coarse_samples=48,
             fine_samples=48,
+            skin_samples=20,
+            hair_samples=12,
             upsample_channels=128,
             lightmap_height=64,
             light_directions=512,
@@ -170,7 +194,11 @@ SWITCHES = {
     "deformation": ("mls", "surface_field"),
     "rotation": ("mls", "surface_field", "none"),
     "decoder": ("phong", "plain"),
+    "samples": ("surface", "importance"),
+    "residual": ("linear", "paper"),
     "colour": ("linear", "srgb"),
+    "weights": ("ours", "paper"),
+    "freeze": ("paper", "none"),
 }
 """What an ablation may change in a preset, and to what."""
 

@@ -26,7 +26,6 @@ from totalediting.data.light_mixing import Light, draw_light
 from totalediting.data.misfit import misfitted
 from totalediting.data.shots import Shots
 from totalediting.geometry.field import Control
-from totalediting.geometry.frontal import frontalise
 from totalediting.geometry.mirroring import (
     FACE_POINTS,
     MIRROR,
@@ -60,8 +59,6 @@ class PortraitPair(NamedTuple):
 
     app: Source
     """I_app, and what is known of it; its light is in model space."""
-    app_frontal: Tensor
-    """(6, S, S) what `frontal.frontalise` makes of it."""
     app_depth: Tensor
     """(1, S, S) planar, metres, of the appearance shot; 0 where nothing is."""
     mot_image: Tensor
@@ -237,7 +234,6 @@ class PortraitPairs(EndlessDataset[PortraitPair]):
         app = app._replace(control=app.control.showing(control))
         return PortraitPair(
             app=app,
-            app_frontal=_frontal(app),
             app_depth=app_depth,
             mot_image=image,
             foreground=foreground,
@@ -262,11 +258,6 @@ class PortraitPairs(EndlessDataset[PortraitPair]):
         )
 
 
-def _frontal(app: Source) -> Tensor:
-    batch = Control(*(a[None] for a in app.control))
-    return frontalise(app.image[None], batch, app.camera_to_world[None], app.intrinsics[None])[0]
-
-
 def mirrored(pair: PortraitPair) -> PortraitPair:
     """A pair as a mirror shows it, in model space and in pictures; twice gives what it was."""
     side, m = pair.mot_image.shape[-1], MIRROR
@@ -278,7 +269,6 @@ def mirrored(pair: PortraitPair) -> PortraitPair:
     camera_to_world, intrinsics = mirrored_camera(pair.camera_to_world, pair.intrinsics, side)
     return PortraitPair(
         app=mirrored_source(pair.app),
-        app_frontal=pair.app_frontal.flip(-1),
         app_depth=pair.app_depth.flip(-1),
         mot_image=pair.mot_image.flip(-1),
         foreground=pair.foreground.flip(-1),

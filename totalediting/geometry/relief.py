@@ -9,11 +9,28 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from totalediting.geometry import volume
+from totalediting.geometry.space import on_planes
+
 GRID = 64
 """Texels along a side that control points are gathered in: they lie about as densely."""
 _CLOSING = {-1.0: 3, 1.0: 9}  # texels, by side along Y: pits so wide are closed, front and back
 _NOTHING = -2.0  # height of the skin where there is none
 _TRUST = 0.2  # control points that a texel's coarser surroundings count as
+
+
+def relief_of(canonical: Tensor, normals: Tensor) -> Tensor:
+    """(B, 2, n, n) the relief of a bust at rest, control points and normals (B, V, 3): places along
+    Y of its front and its back, 1 and -1 where there is no skin."""
+    places = on_planes(canonical)
+    return front_and_back(places, normals, texels_of(places))
+
+
+def inside(relief: Tensor, places: Tensor) -> Tensor:
+    """How far (B, P) points at `places` (B, P, 3) are behind the front and before the back of the
+    skin along Y, in places; below 0 outside."""
+    front, back = volume.plane(relief, places[..., 0::2]).unbind(-1)
+    return torch.minimum(places[..., 1] - front, back - places[..., 1])
 
 
 def texels_of(places: Tensor) -> Tensor:
@@ -35,16 +52,16 @@ def front_and_back(places: Tensor, normals: Tensor, texel: Tensor) -> Tensor:
         found = torch.full_like(height[:, :1], _NOTHING).repeat(1, GRID**2)
         found = found.scatter_reduce(1, texel, height, "amax").unflatten(-1, (1, GRID, GRID))
         # Points are sparser than texels, and some lie within mouth and eye sockets.
-        closed = _close(found, pit)
+        closed = close(found, pit)
         known = (closed > _NOTHING).float()
         filled = fill_holes(torch.cat([known, known * closed], 1))
-        skin = _close(known, 5)
+        skin = close(known, 5)
         height = torch.where(known > 0, closed, filled)
         sides.append(torch.where(skin > 0, towards * height, -towards))
     return torch.cat(sides, 1)
 
 
-def _close(picture: Tensor, side: int) -> Tensor:
+def close(picture: Tensor, side: int) -> Tensor:
     """Grey-scale closing by a square of `side`: pits narrower than that are filled."""
     grown = functional.max_pool2d(picture, side, 1, side // 2)
     return -functional.max_pool2d(-grown, side, 1, side // 2)

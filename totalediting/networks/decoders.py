@@ -1,21 +1,23 @@
 """Point-wise decoders: what a point of the volume is, from the tri-planes' features there.
 
-Symbols: B batch, N points, C = preset.plane_channels, L = frontal.LAID, h rows of a lightmap; t_geo
-features of the geometry's tri-plane (B, N, C), i how far points are inside the skin, t_shd features
-of the shading's tri-plane and of the source laid onto the bust (B, N, C + L). Vectors are unit and
-in model space (metres, Z up), posed unless called canonical: normal n, view v (from the point to
-the viewer), r = v reflected at n. Lightmaps have a frame of their own, into which `to_light` takes
-model space. Light, colour and shadings are linear Rec.709, or display-referred where
-`preset.colour` is "srgb".
+Symbols: B batch, N points, C = preset.plane_channels, L = `shown_channels`, h rows of a lightmap;
+t_geo features of the geometry's tri-plane (B, N, C), i how far points are inside the skin, t_shd
+features of the shading's tri-plane and what the source shows (`shown.Shown`) (B, N, C + L). Vectors
+are unit and in model space (metres, Z up), posed unless called canonical: normal n, view v (from
+the point to the viewer), r = v reflected at n. Lightmaps have a frame of their own, into which
+`to_light` takes model space. Light, colour and shadings are linear Rec.709, or display-referred
+where `preset.colour` is "srgb".
 
     sigma = D_geo([t_geo, i])                   n^c, a', w = D_f(t_shd)
     a = sigmoid(logit(source) + a')
     k_d = D_d([t_shd, n])                       k_s(e) = D_s([t_shd, r])
-    delta = D_delta([a, s_d, s_s(e) ...])
+    delta = D_delta(a, n, t_shd) . [s_d, s_s(e) ...]
     c = k_d a * s_d + sum_e k_s(e) s_s(e) + delta                (paper, section 3.3, eq. render)
 
-The source is the colour that I_app shows at the point: the albedo starts there, and D_f takes light
-and shadow off it. Hidden layers are Softplus, as in EG3D (Chan et al. 2022). First and last layers
+The source is the colour that I_app shows at the point, its light divided out: the albedo starts
+there, and D_f takes off it what that leaves. The residual is a sum of shadings, so that all is
+linear in light; `preset.residual` "paper" is the paper's D_delta([a, s_d, s_s(e) ...]) instead.
+Hidden layers are Softplus, as in EG3D (Chan et al. 2022). First and last layers
 are drawn so that a fresh network is the bust in a translucent fog (`FRESH`), with the source's
 colour, k_d = 1, small k_s and no residual. These networks are small and must become steep, so they
 learn at `PACE` times the rate of the others.
@@ -31,7 +33,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from totalediting.geometry.frontal import LAID, colour_of
+from totalediting.geometry.shown import SIGHT, colour_of
 from totalediting.light.lightmaps import LOBES, SHININESS, encode, sample
 from totalediting.light.phong import display, reflect, undisplay
 from totalediting.networks.blocks import linear
@@ -88,7 +90,7 @@ class Shading(NamedTuple):
 
 
 class GeometryDecoder(nn.Module):
-    """D_geo: features (B, N, C) and `frontal.inside` (B, N) to density sigma (B, N) in 1/metre,
+    """D_geo: features (B, N, C) and `relief.inside` (B, N) to density sigma (B, N) in 1/metre,
     positive."""
 
     def __init__(self, preset: Preset) -> None:
@@ -106,21 +108,26 @@ class GeometryDecoder(nn.Module):
 class ShadingDecoder(nn.Module):
     """D_shd of the paper's figure "Shading module": D_f, D_d, D_s and D_delta around lightmaps.
 
-    D_delta sees shadings as log(1 + s), the scale that lightmaps are predicted in: beside a sun of
-    1000, an albedo would be nothing to it.
+    The paper's D_delta sees shadings as log(1 + s), the scale that lightmaps are predicted in:
+    beside a sun of 1000, an albedo would be nothing to it.
     """
 
     def __init__(self, preset: Preset) -> None:
         super().__init__()
-        channels, hidden = preset.plane_channels + LAID, preset.hidden
+        channels, hidden = preset.plane_channels + shown_channels(preset), preset.hidden
+        self.shown = shown_channels(preset)
+        self.linear = preset.residual == "linear"
         self.surface = _surface(preset)
         self.diffuse = _mlp(channels + 3, hidden, 1)
         _start(self.diffuse, [0.0], 0.05)
         self.specular = _mlp(channels + 3, hidden, len(SHININESS))
         unlit = math.log(FRESH_SPECULAR / (1.0 - FRESH_SPECULAR))
         _start(self.specular, [unlit] * len(SHININESS), 0.05)
-        self.residual = _mlp(3 + 3 * len(LOBES), hidden, 3)
-        _start(self.residual, [0.0, 0.0, 0.0], 0.0)
+        if self.linear:
+            self.residual = _mlp(channels + 6, hidden, 3 * len(LOBES))
+        else:
+            self.residual = _mlp(3 + 3 * len(LOBES), hidden, 3)
+        _start(self.residual, [0.0] * (3 * len(LOBES) if self.linear else 3), 0.0)
 
     def forward(
         self, features: Tensor, to_posed: ToPosed, view: Tensor, lightmaps: Tensor, to_light: Tensor
@@ -139,7 +146,7 @@ class ShadingDecoder(nn.Module):
         """
         _check(features, view, lightmaps, to_light)
         direction, added, w = self.surface(features).tensor_split((3, 6), -1)
-        albedo = torch.sigmoid(torch.logit(_source(features)) + added)
+        albedo = torch.sigmoid(torch.logit(_source(features, self.shown)) + added)
         canonical = functional.normalize(direction, dim=-1)
         normal = to_posed(canonical)
         reflected = reflect(view, normal)
@@ -148,7 +155,12 @@ class ShadingDecoder(nn.Module):
         s_s = sample(lightmaps[:, 1:].flatten(1, 2), _turn(to_light, reflected))
         k_d = 2.0 * torch.sigmoid(self.diffuse(torch.cat([features, normal], -1)))
         k_s = torch.sigmoid(self.specular(torch.cat([features, reflected], -1)))
-        residual = self.residual(torch.cat([albedo, encode(s_d), encode(s_s)], -1))
+        if self.linear:
+            shares = self.residual(torch.cat([features, albedo, normal], -1))
+            shadings = torch.cat([s_d, s_s], -1).unflatten(-1, (len(LOBES), 3))
+            residual = (shares.unflatten(-1, (len(LOBES), 3)) * shadings).sum(-2)
+        else:
+            residual = self.residual(torch.cat([albedo, encode(s_d), encode(s_s)], -1))
 
         s_s = s_s.unflatten(-1, (len(SHININESS), 3))
         diffuse, specular = k_d * albedo * s_d, (k_s[..., None] * s_s).sum(-2)
@@ -179,6 +191,7 @@ class PlainDecoder(nn.Module):
     def __init__(self, preset: Preset) -> None:
         super().__init__()
         self.surface = _surface(preset)
+        self.shown = shown_channels(preset)
         self.linear = preset.colour == "linear"
 
     def forward(
@@ -187,7 +200,10 @@ class PlainDecoder(nn.Module):
         """As `ShadingDecoder.forward`; of view, lightmaps and to_light only the shapes count."""
         _check(features, view, lightmaps, to_light)
         direction, added, w = self.surface(features).tensor_split((3, 6), -1)
-        canonical, source = functional.normalize(direction, dim=-1), _source(features)
+        canonical, source = (
+            functional.normalize(direction, dim=-1),
+            _source(features, self.shown, False),
+        )
         if self.linear:
             colour = functional.softplus(source.expm1().log() + added)
         else:
@@ -222,19 +238,25 @@ class Decoders(nn.Module):
         self.shading = PlainDecoder(preset) if plain else ShadingDecoder(preset)
 
 
+def shown_channels(preset: Preset) -> int:
+    """Channels of what `shown.Shown` gives."""
+    return 2 * (SIGHT + preset.aligned_channels)
+
+
 def _mlp(inputs: int, hidden: int, outputs: int) -> nn.Sequential:
     return nn.Sequential(linear(inputs, hidden), nn.Softplus(), linear(hidden, outputs))
 
 
-def _source(features: Tensor) -> Tensor:
-    """(B, N, 3) linear colour that the source shows, from t_shd; within (0, 1)."""
-    return undisplay(colour_of(features[..., -LAID:])).clamp(0.01, 0.99)
+def _source(features: Tensor, shown: int, unlit: bool = True) -> Tensor:
+    """(B, N, 3) linear colour that the source shows, from t_shd whose last `shown` channels tell
+    it; within (0, 1). Unlit it is about the albedo."""
+    return undisplay(colour_of(features[..., -shown:], unlit)).clamp(0.01, 0.99)
 
 
 def _surface(preset: Preset) -> nn.Sequential:
     """Features to a direction, what is added to the source's colour before the activation, and w:
     3 + 3 + preset.features."""
-    net = _mlp(preset.plane_channels + LAID, preset.hidden, 6 + preset.features)
+    net = _mlp(preset.plane_channels + shown_channels(preset), preset.hidden, 6 + preset.features)
     # Normals start towards the face's side: one near zero would turn with every step.
     _start(net, [0.0, -1.0, 0.0] + [0.0] * (3 + preset.features), 1.0)
     last = net[-1]

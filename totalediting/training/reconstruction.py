@@ -6,30 +6,37 @@ First the two have one pose and expression and differ in view and light, then in
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import TypeVar
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
 from totalediting.data.endless import loader, to_device
+from totalediting.data.kept_tables import KeptTables
 from totalediting.data.pairs import MIRRORED, PortraitPair, PortraitPairs
 from totalediting.geometry.field import Control, Table
 from totalediting.geometry.identity import faces_of
 from totalediting.geometry.mirroring import MIRROR
 from totalediting.light import phong
-from totalediting.model import Edit, TotalEditing, Window
+from totalediting.model import Edit, Tables, TotalEditing, Window
 from totalediting.presets import Preset
+from totalediting.pretrained.fetch import NetworkError
+from totalediting.pretrained.lpips import Lpips
 from totalediting.training import losses, metrics
-from totalediting.training.objective import terms, truth_of
+from totalediting.training.objective import Truth, terms, truth_of
 from totalediting.training.stage import Loss, Stage, StageSettings, Validation
+
+Network = TypeVar("Network", bound=nn.Module)
 
 VALIDATED = 64
 """Samples that a validation looks at, at most."""
 
 _VALIDATION_BATCH = 8  # pairs
-_CACHE = 1 << 28  # bytes of deformations that are kept
+TABLES = "tables"
+"""Folder in a run where deformations are kept; it can be deleted at any time."""
 _STATIC = 0.25  # share of the stage's steps before pairs differ in motion
 
 
@@ -39,14 +46,24 @@ class PairStage(Stage):
     most = VALIDATED
 
     def __init__(
-        self, data: Path, preset: Preset, seed: int, workers: int, static_steps: int = 0
+        self,
+        data: Path,
+        preset: Preset,
+        seed: int,
+        workers: int,
+        static_steps: int = 0,
+        tables: Path | None = None,
     ) -> None:
-        """In the first `static_steps` steps, pairs are static, see `PortraitPairs`."""
+        """In the first `static_steps` steps, pairs are static, see `PortraitPairs`. Deformations
+        are kept in the folder `tables`, if there is one."""
         self.preset, self.workers, self.static_steps = preset, workers, static_steps
         self.static = PortraitPairs(data, preset, "train", seed, augment=True, static=True)
         self.train = PortraitPairs(data, preset, "train", seed, augment=True)
         self.held_out = PortraitPairs(data, preset, "validation")
-        self._tables: dict[str, Table] = {}
+        self._off: dict[str, str] = {}
+        self.lpips = self.pretrained("lpips", lambda: Lpips("alex"))
+        solved = preset.deformation, preset.rotation, preset.alpha, preset.deformation_nodes
+        self.kept = KeptTables(tables, str(solved))
 
     def validate_on(self, data: Path, split: str) -> None:
         self.held_out = PortraitPairs(data, self.preset, split)
@@ -56,27 +73,39 @@ class PairStage(Stage):
     def skipped(self) -> dict[str, str]:
         return self.static.skipped | self.train.skipped
 
-    def deformation(self, model: TotalEditing, batch: PortraitPair) -> Table:
-        """The batch's deformations; each shot's is solved once and kept, as far as there is room.
+    @property
+    def off(self) -> dict[str, str]:
+        return self._off
 
-        They take a third of a step on a CPU, and do not change. A mirrored shot's is the mirror
-        image of the shot's own.
-        """
+    def pretrained(self, term: str, make: Callable[[], Network]) -> Network | None:
+        """The network of a term of the loss, or None if it cannot be had; `off` then says why."""
+        try:
+            return make().eval()
+        except NetworkError as error:
+            self._off[term] = str(error)
+            return None
+
+    def perceived(
+        self, found: dict[str, Tensor | None], edit: Edit, truth: Truth, factors: dict[str, float]
+    ) -> None:
+        """Add L_LPIPS to the terms of an edit."""
+        if self.lpips is not None and factors["lpips"]:
+            image, target = truth.counts * edit.image, truth.counts * truth.image
+            found["lpips"] = self.lpips.to(image.device)(image, target).mean()
+
+    def tables(self, model: TotalEditing, batch: PortraitPair) -> Tables:
+        """The batch's deformations, from posed to canonical space and from there to the source;
+        each is solved once. A mirrored pair's are the mirror images of the pair's own."""
         turned = [key.endswith(MIRRORED) for key in batch.key]
-        shots = [key.removesuffix(MIRRORED) for key in batch.key]
-        missing = {shot: k for k, shot in enumerate(shots) if shot not in self._tables}
-        if missing:
-            sides = batch.control.posed.new_ones(len(shots), 1, 3)
-            sides[turned] = MIRROR.to(sides)
-            chosen = list(missing.values())
-            control = Control(*((sides * a)[chosen] for a in batch.control))
-            self._tables |= zip(missing, model.deformation(control).unstack(), strict=True)
-        tables = [self._tables[shot] for shot in shots]
-        tables = [t.mirrored() if turn else t for t, turn in zip(tables, turned, strict=True)]
-        table = Table.stack(tables)
-        while len(self._tables) * table.values[0].nbytes > _CACHE:
-            del self._tables[next(iter(self._tables))]
-        return table
+        sides = batch.control.posed.new_ones(len(turned), 1, 3)
+        sides[turned] = MIRROR.to(sides)
+        found = []
+        for control in (batch.control, batch.app.control.back()):
+            own = [Control(*parts) for parts in zip(*(sides * a for a in control), strict=True)]
+            tables = self.kept.of(own, model.deformation)
+            pairs = zip(tables, turned, strict=True)
+            found.append(Table.stack([t.mirrored() if m else t for t, m in pairs]))
+        return Tables(*found)
 
     def batches(self, first: int, size: int, rank: int, ranks: int) -> Iterator[PortraitPair]:
         start, moving = first * size * ranks, self.static_steps * size * ranks
@@ -87,7 +116,7 @@ class PairStage(Stage):
 
 
 class ReconstructStage(PairStage):
-    """L_rec + L_reg in true light, without pre-trained networks."""
+    """L_rec + L_reg in true light, without L_id: a window rarely shows a face."""
 
     network: TotalEditing
 
@@ -100,18 +129,20 @@ class ReconstructStage(PairStage):
         faces: Tensor | None = None,
         weights: losses.LossWeights = losses.OURS,
         static_steps: int = 0,
+        tables: Path | None = None,
     ) -> None:
-        super().__init__(data, preset, seed, workers, static_steps)
+        super().__init__(data, preset, seed, workers, static_steps, tables)
         self.weights = weights
         self.network = TotalEditing(preset, faces)
 
     def loss(self, network: nn.Module, batch: PortraitPair, step: int) -> Loss:
-        generator = generator_on(batch.app.image.device)
+        generator = generator_on(batch.mot_image.device)
         window = window_in(self.network.preset)
-        table = self.deformation(self.network, batch)
-        edit = edit_of(network, batch, generator, window=window, control=table)
+        tables = self.tables(self.network, batch)
+        edit = edit_of(network, batch, generator, window=window, tables=tables)
         truth = truth_of(batch).within(window, self.network.preset)
         found = terms(self.network, edit, truth, self.weights.at(step), generator)
+        self.perceived(found, edit, truth, self.weights.at(step))
         total = losses.total(found, self.weights, step)
         return total.loss, total.scalars
 
@@ -127,8 +158,9 @@ def build(settings: StageSettings) -> ReconstructStage:
         settings.seed,
         settings.workers,
         faces_of(settings.preset),
-        losses.OURS.over(settings.steps),
+        losses.PRESETS[settings.preset.weights].over(settings.steps),
         static_steps=int(_STATIC * settings.steps),
+        tables=settings.run / TABLES,
     )
 
 
@@ -151,21 +183,22 @@ def edit_of(
     lightmaps: Tensor | None = None,
     to_light: Tensor | None = None,
     window: Window | None = None,
-    control: Table | None = None,
+    tables: Tables | None = None,
 ) -> Edit:
     """The edit that should be the batch's target; in its true light, or in another."""
+    transparent = bool(batch.transparent.all())
     return network(
-        batch.app.image,
-        batch.app_frontal,
-        batch.app.code,
+        batch.app,
         batch.mot_code,
-        batch.control if control is None else control,
+        batch.control,
         batch.camera_to_world,
         batch.intrinsics,
         batch.lightmaps if lightmaps is None else lightmaps,
         to_light,
+        background=batch.background if transparent else None,
         generator=generator,
         window=window,
+        tables=tables,
     )
 
 

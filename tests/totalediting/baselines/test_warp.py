@@ -75,7 +75,7 @@ def pair(yaw: float = 0.4, relit: bool = True) -> PortraitPair:
         app, alpha, code, Control(RADIUS * n, RADIUS * n, n, n), camera, lens, old, torch.eye(3)
     )
     one = PortraitPair(
-        app=source, app_frontal=empty, app_depth=depth, mot_image=mot, foreground=mot,
+        app=source, app_depth=depth, mot_image=mot, foreground=mot,
         background=empty, transparent=torch.tensor(True), albedo=empty, normal=normal,
         alpha=mot_alpha, parts=mot_alpha, depth=mot_depth, canonical=empty,
         points=torch.zeros(5, 2), mot_code=code, camera_to_world=camera, intrinsics=lens,

@@ -77,7 +77,6 @@ def damaged_copy(dataset: Path, out: Path, keys: list[str], member: str) -> Path
 def test_shapes_and_ranges(pairs: PortraitPairs):
     batch = next(iter(loader(pairs, 3)))
     expected = {
-        "app_frontal": (6, 24, 24),
         "app_depth": (1, 24, 24),
         "foreground": (3, 24, 24),
         "background": (3, 24, 24),

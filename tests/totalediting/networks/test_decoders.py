@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from totalediting.geometry import volume
-from totalediting.geometry.frontal import LAID
+from totalediting.geometry.shown import SIGHT
 from totalediting.light import phong
 from totalediting.light.lightmaps import bake
 from totalediting.networks import decoders
@@ -22,10 +22,12 @@ from totalediting.networks.decoders import (
     PlainDecoder,
     Shading,
     ShadingDecoder,
+    shown_channels,
 )
 from totalediting.presets import PRESETS, Preset
 
 TINY = PRESETS["tiny"]
+SHOWN = shown_channels(TINY)
 B, N = 2, 50
 
 
@@ -48,7 +50,7 @@ def lightmaps(seed: int = 0) -> Tensor:
 
 
 def features(seed: int = 0) -> Tensor:
-    return torch.randn(B, N, TINY.plane_channels + LAID, generator=seeded(seed))
+    return torch.randn(B, N, TINY.plane_channels + SHOWN, generator=seeded(seed))
 
 
 def of_geometry(seed: int = 0) -> tuple[Tensor, Tensor]:
@@ -147,15 +149,23 @@ def test_colour_is_the_render_equation(decoder: ShadingDecoder) -> None:
 
 
 def test_shading_is_linear_in_light(decoder: ShadingDecoder) -> None:
+    """The residual as well, which is a sum of shadings."""
     first, second = lightmaps(0), lightmaps(1)
 
     def lit(light: Tensor) -> Tensor:
-        shading = shade(decoder, light)
-        return shading.diffuse + shading.specular
+        return shade(decoder, light).colour
 
+    assert shade(decoder, first).residual.abs().max() > 0.01
     torch.testing.assert_close(lit(2.0 * first), 2.0 * lit(first), atol=0, rtol=1e-5)
     torch.testing.assert_close(lit(first + second), lit(first) + lit(second))
     assert not lit(torch.zeros_like(first)).any()
+
+
+def test_the_papers_residual_is_a_switch() -> None:
+    torch.manual_seed(0)
+    decoder = trained(ShadingDecoder(replace(TINY, residual="paper")))
+    one, two = (shade(decoder, k * lightmaps()).residual for k in (1.0, 2.0))
+    assert not torch.allclose(two, 2 * one, rtol=0.05)
 
 
 def test_material_knows_no_light(decoder: ShadingDecoder) -> None:
@@ -193,14 +203,18 @@ def test_gradients_reach_all_that_is_learnt(decoder: ShadingDecoder) -> None:
     assert all(p.grad is not None and p.grad.any() for p in geometry.parameters())
 
 
-@pytest.mark.parametrize("kind", [ShadingDecoder, PlainDecoder])
-def test_fresh_colour_is_the_sources(kind: type[nn.Module]) -> None:
-    """Of the side that the camera sees squarely, whatever the other shows."""
+@pytest.mark.parametrize(("kind", "first"), [(ShadingDecoder, 3), (PlainDecoder, 0)])
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_fresh_colour_is_the_sources(kind: type[nn.Module], first: int, mirrored: bool) -> None:
+    """Unlit for the one, lit for the other; of the side that is seen, whatever the other shows."""
     torch.manual_seed(0)
     given = features()
     shown = torch.rand(B, N, 3, generator=seeded(3)) * 0.6 + 0.2
-    given[..., TINY.plane_channels :][..., :4] = torch.cat([2 * shown - 1, torch.ones(B, N, 1)], -1)
-    given[..., TINY.plane_channels :][..., 7] = -1.0
+    told = given[..., TINY.plane_channels :].unflatten(-1, (2, -1))
+    told[..., :6] = torch.rand(B, N, 2, 6, generator=seeded(4))
+    told[..., SIGHT - 2] = -1.0
+    told[..., int(mirrored), SIGHT - 2] = 1.0
+    told[..., int(mirrored), first : first + 3] = 2 * shown - 1
     found = kind(TINY)(given, same, units(2), lightmaps(), rotations(1)).albedo
     torch.testing.assert_close(phong.display(found), shown, atol=0.02, rtol=0)
 
@@ -260,7 +274,7 @@ def test_wrong_shapes_are_named(decoder: ShadingDecoder) -> None:
 
 
 def test_planes_are_trained_through_the_decoders(decoder: ShadingDecoder) -> None:
-    planes = torch.randn(B, 3, TINY.plane_channels + LAID, 8, 8, requires_grad=True)
+    planes = torch.randn(B, 3, TINY.plane_channels + SHOWN, 8, 8, requires_grad=True)
     found = volume.triplane(planes, 2 * torch.rand(B, N, 3) - 1)
     decoder(found, same, units(2), lightmaps(), rotations(1)).colour.sum().backward()
     assert planes.grad is not None and planes.grad.abs().sum((0, 3, 4)).all()
