@@ -76,6 +76,9 @@ class Preset:
     """Nodes of the deformation's table along each axis."""
     deformation: Literal["mls", "surface_field"] = "mls"
     """What moves points to canonical space."""
+    expression: Literal["learned", "warped"] = "learned"
+    """Whether the bust at rest has the expression to show, which the reenactor puts in, or none:
+    then the deformation takes it off, and an expression moves at once what the source shows."""
     rotation: Literal["mls", "surface_field", "none"] = "mls"
     """What turns normals; "none" leaves the canonical ones."""
     decoder: Literal["phong", "plain"] = "phong"
@@ -84,6 +87,8 @@ class Preset:
     """Where rays are sampled: where the bust is, or in two passes, as the paper."""
     residual: Literal["linear", "paper"] = "linear"
     """Residual light as a sum of shadings, which adds up as light does, or the paper's form."""
+    occlusion: Literal["none", "lobes"] = "none"
+    """Whether points that something shades gather light through lobes of their own as well."""
     colour: Literal["linear", "srgb"] = "linear"
     """What shading is composed and rendered in; linear light then passes the display curve."""
 
@@ -100,7 +105,7 @@ PRESETS = {
             name="tiny",
             image=128,
             neural=64,
-            window=32,
+            window=48,
             global_channels=64,
             detail_channels=32,
             aligned_channels=8,
@@ -192,10 +197,12 @@ PRESETS = {
 SWITCHES = {
     "alpha": ("1", "1.5", "2", "3"),
     "deformation": ("mls", "surface_field"),
+    "expression": ("learned", "warped"),
     "rotation": ("mls", "surface_field", "none"),
     "decoder": ("phong", "plain"),
     "samples": ("surface", "importance"),
     "residual": ("linear", "paper"),
+    "occlusion": ("none", "lobes"),
     "colour": ("linear", "srgb"),
     "weights": ("ours", "paper"),
     "freeze": ("paper", "none"),

@@ -1,7 +1,9 @@
-"""Random backgrounds, which transparent pictures are put over: no two steps show the same one.
+"""Backgrounds that transparent pictures are put over: no two steps show the same one.
 
-A smooth gradient, blobs of several sizes as something out of focus, and straight edges as of a wall
-or a window; a few are of one colour. S = side of pictures.
+Half of them are the environment that lights the picture, far out of focus, as which its sharpest
+lightmap does; it says of the light what a real background says. The others say nothing: blobs of
+several sizes as something out of focus, and straight edges as of a wall or a window, or one colour.
+S = side of pictures.
 """
 
 from __future__ import annotations
@@ -11,15 +13,39 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from totalediting.geometry.projection import unproject
+from totalediting.light.lightmaps import sample
 from totalediting.light.phong import display, undisplay
 
+_OWN = 0.5  # share of backgrounds that are the light's own
 _PLAIN = 0.15  # share of backgrounds of one colour
 _OCTAVES = (2, 4, 8, 16)  # cells along a side
 _EDGES = 3  # at most
 
 
+def draw_background(
+    rng: np.random.Generator, lightmaps: Tensor, intrinsics: Tensor, side: int
+) -> Tensor:
+    """(3, side, side) display-referred, in [0, 1]: the light's own or any other.
+
+    `lightmaps` (5, 3, h, 2h), exposed, in the camera's frame; `intrinsics` (3, 3) in pixels of
+    `side`.
+    """
+    if rng.random() < _OWN:
+        return environment(lightmaps, intrinsics, side)
+    return random_background(rng, side)
+
+
+def environment(lightmaps: Tensor, intrinsics: Tensor, side: int) -> Tensor:
+    """(3, side, side) display-referred: what a camera sees of its light, out of focus."""
+    far = torch.ones(1, 1, side, side)
+    rays = unproject(far, torch.eye(4)[None], intrinsics[None])[0]
+    light = sample(lightmaps[-1], rays.flatten(0, 1))
+    return display(light).mT.unflatten(-1, (side, side))
+
+
 def random_background(rng: np.random.Generator, side: int) -> Tensor:
-    """(3, side, side) display-referred, in [0, 1]."""
+    """(3, side, side) display-referred, in [0, 1], that has nothing to do with the light."""
     base = _colour(rng)
     picture = base[:, None, None].repeat(1, side, side)
     if rng.random() < _PLAIN:

@@ -20,7 +20,7 @@ import torch
 from torch import Tensor
 
 from totalediting.data import shots
-from totalediting.data.backgrounds import put_over, random_background
+from totalediting.data.backgrounds import draw_background, put_over
 from totalediting.data.endless import EndlessDataset, Unreadable
 from totalediting.data.light_mixing import Light, draw_light
 from totalediting.data.misfit import misfitted
@@ -91,7 +91,7 @@ class PortraitPair(NamedTuple):
     intrinsics: Tensor
     """(3, 3) in pixels of side S."""
     control: Control
-    """(V, 3) each, model space."""
+    """(V, 3) each, model space; at rest without expression where `Preset.expression` is warped."""
     lightmaps: Tensor
     """(5, 3, h, 2h) normalised, model space's axes, exposed: shading is display-exposed light."""
     seen_lightmaps: Tensor
@@ -127,8 +127,9 @@ class PortraitPairs(EndlessDataset[PortraitPair]):
 
         `relit` adds the motion shot in another environment, or the same if it has only one.
         `augment` mirrors every second pair, at random, mixes light (`light_mixing`), puts
-        transparent pictures over random backgrounds and moves sources as a fit would (`misfit`). In
-        `static` pairs, both shots have one pose: in a video subset they are the same.
+        transparent pictures over backgrounds (`backgrounds`) and moves sources as a fit would
+        (`misfit`). In `static` pairs, both shots have one pose: in a video subset they are the
+        same.
 
         Raises:
             InputError: no dataset, one of another format, no such split or subset, an empty one.
@@ -136,6 +137,7 @@ class PortraitPairs(EndlessDataset[PortraitPair]):
         self.shots = Shots(folder, split, subset)
         super().__init__(self.shots.keys, seed)
         self.side, self.rows = preset.image, preset.lightmap_height
+        self.warped = preset.expression == "warped"
         self.relit, self.augment, self.static = relit, augment, static
         self._of_subject: dict[str, list[int]] = {}
         for position, subject in enumerate(self.shots.subjects):
@@ -151,33 +153,31 @@ class PortraitPairs(EndlessDataset[PortraitPair]):
         app_light, mot_light = (draw_light(rng, count, self.augment) for _ in range(2))
         another = (mot_light.environments[0] + 1 + int(rng.integers(max(count - 1, 1)))) % count
         turn = self.augment and bool(rng.random() < 0.5)
-        background = torch.zeros(3, self.side, self.side)
-        if self.augment:
-            background = random_background(rng, self.side)
         try:
-            source, depth = self._source(other, app_light, background)
+            source, depth = self._source(other, app_light)
         except DAMAGE as error:
             raise Unreadable(other, reason(error)) from error
-        if self.augment:
-            source = misfitted(source, rng)
         try:
-            pair = self._pair(item, mot_light, another, other, (source, depth), background)
+            pair = self._pair(item, mot_light, another, other, source, depth)
         except DAMAGE as error:
             raise Unreadable(item, reason(error)) from error
+        if self.augment:
+            if pair.transparent:
+                maps, lens = pair.seen_lightmaps, pair.intrinsics
+                pair = before(pair, draw_background(rng, maps, lens, self.side))
+            pair = pair._replace(app=misfitted(pair.app, rng))
         return mirrored(pair) if turn else pair
 
-    def _source(self, position: int, light: Light, background: Tensor) -> tuple[Source, Tensor]:
+    def _source(self, position: int, light: Light) -> tuple[Source, Tensor]:
         """I_app, with its own expression at rest, and its depth."""
         wanted = ("alpha", "depth", "geometry", "meta")
         stored = self.shots.read(position, *light.members(), *wanted)
         meta, side = stored["meta"], self.side
         origin = head_centre(stored["geometry"]["landmarks_canonical"])
-        alpha = shots.alpha(stored["alpha"], side)
-        image, _, _ = self._pictures(light, stored, alpha, background)
         camera_to_world, intrinsics = shots.camera(meta, origin, side)
         source = Source(
-            image=image,
-            alpha=alpha,
+            image=self._picture(light, stored)[0],
+            alpha=shots.alpha(stored["alpha"], side),
             code=shots.motion_code(meta),
             control=shots.control(stored["geometry"], origin),
             camera_to_world=camera_to_world,
@@ -188,16 +188,11 @@ class PortraitPairs(EndlessDataset[PortraitPair]):
         depth = stored["depth"]
         return source, shots.over_surface(depth[..., None], depth > 0, side)
 
-    def _pictures(
-        self, light: Light, stored: dict[str, Any], alpha: Tensor, background: Tensor
-    ) -> tuple[Tensor, Tensor, bool]:
-        """A shot before its background and before black; whether it is transparent."""
+    def _picture(self, light: Light, stored: dict[str, Any]) -> tuple[Tensor, bool]:
+        """A shot's picture, before black if it is transparent; whether it is."""
         members = [stored[name] for name in light.members()]
-        transparent = all(member.shape[-1] == 4 for member in members)
-        shown = light.picture([shots.picture(m, self.side, self.shots.format) for m in members])
-        if transparent:
-            return put_over(shown, alpha, background), shown, True
-        return shown, alpha * shown, False
+        shown = [shots.picture(member, self.side, self.shots.format) for member in members]
+        return light.picture(shown), all(member.shape[-1] == 4 for member in members)
 
     def _lightmaps(self, meta: dict[str, Any], light: Light, frame: Tensor | None = None) -> Tensor:
         return light.lightmaps(
@@ -210,8 +205,8 @@ class PortraitPairs(EndlessDataset[PortraitPair]):
         light: Light,
         another: int,
         other: int,
-        source: tuple[Source, Tensor],
-        background: Tensor,
+        app: Source,
+        app_depth: Tensor,
     ) -> PortraitPair:
         labels = (
             "albedo", "normal", "depth", "canonical", "alpha", "parts", "geometry", "meta",
@@ -223,21 +218,22 @@ class PortraitPairs(EndlessDataset[PortraitPair]):
         origin = head_centre(stored["geometry"]["landmarks_canonical"])
         camera_to_world, intrinsics = shots.camera(meta, origin, side)
         control = shots.control(stored["geometry"], origin)
+        if self.warped:
+            control = shots.neutral(control, meta, origin)
         normal = shots.normals(stored["normal"], parts, side, self.shots.format)
         alpha = shots.alpha(stored["alpha"], side)
-        image, foreground, transparent = self._pictures(light, stored, alpha, background)
+        image, transparent = self._picture(light, stored)
         relit = None
         if self.relit:
-            pictures = self._pictures(again, stored, alpha, background)
-            relit = Relit(*pictures[:2], self._lightmaps(meta, again))
-        app, app_depth = source
-        app = app._replace(control=app.control.showing(control))
+            shown = self._picture(again, stored)[0]
+            over_black = shown if transparent else alpha * shown
+            relit = Relit(shown, over_black, self._lightmaps(meta, again))
         return PortraitPair(
-            app=app,
+            app=app._replace(control=app.control.showing(control)),
             app_depth=app_depth,
             mot_image=image,
-            foreground=foreground,
-            background=background if transparent else torch.zeros_like(background),
+            foreground=image if transparent else alpha * image,
+            background=torch.zeros_like(image),
             transparent=torch.tensor(transparent),
             albedo=shots.albedo(stored["albedo"], stored["alpha"], side, self.shots.format),
             normal=(camera_to_world[:3, :3] @ normal.flatten(1)).view_as(normal),
@@ -256,6 +252,19 @@ class PortraitPairs(EndlessDataset[PortraitPair]):
             key=self.keys[item],
             app_key=self.keys[other],
         )
+
+
+def before(pair: PortraitPair, background: Tensor) -> PortraitPair:
+    """A transparent pair, which is before black, before another background (3, S, S)."""
+    app, relit = pair.app, pair.relit
+    if relit is not None:
+        relit = relit._replace(image=put_over(relit.foreground, pair.alpha, background))
+    return pair._replace(
+        app=app._replace(image=put_over(app.image, app.alpha, background)),
+        mot_image=put_over(pair.foreground, pair.alpha, background),
+        background=background,
+        relit=relit,
+    )
 
 
 def mirrored(pair: PortraitPair) -> PortraitPair:

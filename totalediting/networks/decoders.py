@@ -17,6 +17,13 @@ where `preset.colour` is "srgb".
 The source is the colour that I_app shows at the point, its light divided out: the albedo starts
 there, and D_f takes off it what that leaves. The residual is a sum of shadings, so that all is
 linear in light; `preset.residual` "paper" is the paper's D_delta([a, s_d, s_s(e) ...]) instead.
+With `preset.occlusion` "lobes", diffuse light is gathered through a few lobes more, a s' with
+
+    s' = k_d s_d + sum_j sum_e c_j(e) s_s(e) at R^-1 b_j         c_j >= 0, b_j canonical axes
+
+as low-frequency radiance transfer (Sloan et al. 2002) in the lightmaps that there are: what is
+shaded from one side lowers k_d and looks to the other. It stays linear in light.
+
 Hidden layers are Softplus, as in EG3D (Chan et al. 2022). First and last layers
 are drawn so that a fresh network is the bust in a translucent fog (`FRESH`), with the source's
 colour, k_d = 1, small k_s and no residual. These networks are small and must become steep, so they
@@ -53,8 +60,14 @@ SKIN = 0.016
 """Thickness over which that rises, in places: 2 mm at the face, see `space`."""
 PACE = 6.0
 """Their learning rate relative to the rest; instant-NGP's for such networks is 1e-2."""
+LOBES_OF_TRANSFER = 3
+"""Axes b_j of a point, with `occlusion` "lobes"."""
+_FAINT = -4.0  # before Softplus: fresh weights c_j of 0.018
 FRESH_SPECULAR = 0.05
 """A fresh specular coefficient, about the reflectance of skin at grazing and frontal angles."""
+
+_TRIPOD = (0.8, 0.0, -0.4, -0.8, 0.0, -0.4, 0.0, 0.0, 0.8)
+"""Added to n^c, fresh axes b_j: to both sides and up."""
 
 ToPosed = Callable[[Tensor], Tensor]
 """Turns canonical directions (B, N, 3) into posed ones: `Field.to_posed` at the points."""
@@ -72,7 +85,7 @@ class Shading(NamedTuple):
     canonical_normal: Tensor
     """n^c, unit."""
     diffuse: Tensor
-    """k_d a * s_d."""
+    """k_d a * s_d, and what transfer lobes add."""
     specular: Tensor
     """The sum of k_s(e) s_s(e)."""
     residual: Tensor
@@ -121,6 +134,11 @@ class ShadingDecoder(nn.Module):
         self.diffuse = _mlp(channels + 3, hidden, 1)
         _start(self.diffuse, [0.0], 0.05)
         self.specular = _mlp(channels + 3, hidden, len(SHININESS))
+        self.transfer = None
+        if preset.occlusion == "lobes":
+            count = LOBES_OF_TRANSFER * len(SHININESS)
+            self.transfer = _mlp(channels, hidden, 3 * LOBES_OF_TRANSFER + count)
+            _start(self.transfer, [*_TRIPOD, *[_FAINT] * count], 0.05)
         unlit = math.log(FRESH_SPECULAR / (1.0 - FRESH_SPECULAR))
         _start(self.specular, [unlit] * len(SHININESS), 0.05)
         if self.linear:
@@ -163,7 +181,16 @@ class ShadingDecoder(nn.Module):
             residual = self.residual(torch.cat([albedo, encode(s_d), encode(s_s)], -1))
 
         s_s = s_s.unflatten(-1, (len(SHININESS), 3))
-        diffuse, specular = k_d * albedo * s_d, (k_s[..., None] * s_s).sum(-2)
+        gathered = k_d * s_d
+        if self.transfer is not None:
+            axes, c = self.transfer(features).tensor_split([3 * LOBES_OF_TRANSFER], -1)
+            axes = axes.unflatten(-1, (LOBES_OF_TRANSFER, 3)) + canonical[..., None, :]
+            c = functional.softplus(c).unflatten(-1, (LOBES_OF_TRANSFER, len(SHININESS), 1))
+            for j in range(LOBES_OF_TRANSFER):
+                axis = to_posed(functional.normalize(axes[..., j, :], dim=-1))
+                seen = sample(lightmaps[:, 1:].flatten(1, 2), _turn(to_light, axis))
+                gathered = gathered + (c[..., j, :, :] * seen.unflatten(-1, (-1, 3))).sum(-2)
+        diffuse, specular = gathered * albedo, (k_s[..., None] * s_s).sum(-2)
         return Shading(
             colour=diffuse + specular + residual,
             albedo=albedo,

@@ -179,6 +179,9 @@ class JointStage(PairStage):
             # The source's identity, with the driver's expression and pose, framed as the driver.
             shown = mot._replace(identity=app.identity)
             control = control_of(shown)
+            if self.preset.expression == "warped":
+                still = shown._replace(expression=0 * shown.expression, gaze=0 * shown.gaze)
+                control = control.showing(control_of(still))
             camera_to_world, intrinsics = camera_of(shown, side)
             source = self._source(batch, app, control)
         seen = batch.light_image if real.settings.light == "random" else image

@@ -18,22 +18,25 @@ import pytest
 import torch
 from fake_renderer import CENTRE, RADIUS
 
+from assets_procedural.body.head import HeadModel
 from assets_procedural.conventions.colour import srgb_decode
 from assets_procedural.conventions.panorama_reading import PanoramaError
-from assets_procedural.motion.poses import ARKIT_NAMES
+from assets_procedural.motion.poses import ARKIT_NAMES, Pose
+from assets_procedural.person import Person
 from synthgen.dataset import open_dataset
 from synthgen.farm.local import render_job
-from totalediting.data import shots
+from totalediting.data import backgrounds, shots
 from totalediting.data.backgrounds import put_over
 from totalediting.data.endless import Stream, loader, to_device
 from totalediting.data.misfit import misfitted
 from totalediting.data.pairs import MIRRORED, PortraitPairs, mirrored
 from totalediting.data.shots import Shots, area, over_surface
 from totalediting.errors import InputError
-from totalediting.geometry.field import check_control
+from totalediting.geometry.field import Control, check_control
 from totalediting.geometry.space import head_centre
 from totalediting.geometry.volume import rays
 from totalediting.light import environments, lightmaps
+from totalediting.light.lightmaps import texel_directions
 from totalediting.light.phong import display, undisplay
 from totalediting.presets import PRESETS
 
@@ -290,6 +293,24 @@ def test_an_estimator_learns_from_as_exact_light_in_every_stage(pairs: PortraitP
     assert not torch.allclose(turned, sample.seen_lightmaps, atol=1e-3)
 
 
+def test_a_bust_at_rest_can_have_no_expression() -> None:
+    """With `expression` "warped", control points lead to the neutral bust of the same person."""
+    person, model = Person(), HeadModel.load()
+    bust = model.identity(person).pose(Pose(expression={"jawOpen": 0.8}, head=(0.0, 0.0, 0.3)))
+    skin, origin = model.groups["skin"], np.array([0.0, -0.06, 0.72])
+    arrays = bust.vertices, bust.canonical.vertices, bust.normals, bust.canonical.normals
+    posed, open_, *normals = (torch.from_numpy(np.asarray(a)[skin]).float() for a in arrays)
+    shift = torch.from_numpy(origin).float()
+    control = Control(posed - shift, open_ - shift, *normals)
+    still = shots.neutral(control, {"person": person.model_dump()}, origin)
+    shut = torch.from_numpy(model.identity(person).pose(Pose()).canonical.vertices[skin]).float()
+    torch.testing.assert_close(still.canonical, shut - shift, atol=1e-5, rtol=0)
+    assert torch.equal(still.posed, control.posed)
+    assert (still.canonical - control.canonical).norm(dim=-1).max() > 0.01
+    with pytest.raises(ValueError, match="70 control points, the bust's skin has"):
+        shots.neutral(Control(*(a[:70] for a in control)), {"person": person.model_dump()}, origin)
+
+
 # ---------------------------------------------------------------- backgrounds
 
 
@@ -304,7 +325,7 @@ def transparent(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_transparent_pictures_get_one_random_background(transparent: Path):
     pairs = PortraitPairs(transparent, SMALL, seed=1, augment=True)
     one, same = pairs[3], PortraitPairs(transparent, SMALL, seed=1, augment=True)[3]
-    later = pairs[3 + len(pairs)]
+    later = pairs[4 + len(pairs)]
     assert one.transparent and equal(one, same)
     assert not torch.allclose(one.background, later.background)
     for picture, alpha in ((one.app.image, one.app.alpha), (one.mot_image, one.alpha)):
@@ -316,6 +337,22 @@ def test_transparent_pictures_get_one_random_background(transparent: Path):
     assert still.background.max() == 0 and torch.allclose(
         still.mot_image, still.foreground, atol=1e-4
     )
+
+
+def test_half_of_the_backgrounds_are_the_light_itself() -> None:
+    """Seen by the camera, out of focus: a real background tells of the light as well."""
+    sun = (texel_directions(32) @ torch.tensor([0.6, 0.0, -0.8])).clamp_min(0)[..., None] ** 8
+    maps = lightmaps.bake((2 * sun + 0.1).expand(-1, -1, 3).contiguous(), 32)
+    lens = torch.tensor([[40.0, 0, 20], [0, 40.0, 20], [0, 0, 1]])
+    seen = backgrounds.environment(maps, lens, 40)
+    brightest = divmod(int(seen[0].argmax()), 40)
+    # 0.6 / 0.8 to the right of the middle is 30 pixels: at the edge.
+    assert brightest[1] == 39 and abs(brightest[0] - 19.5) < 3
+    drawn = [
+        backgrounds.draw_background(np.random.default_rng(k), maps, lens, 40) for k in range(40)
+    ]
+    own = sum(torch.equal(picture, seen) for picture in drawn)
+    assert 10 < own < 30
 
 
 def test_light_adds_up_before_it_is_shown():

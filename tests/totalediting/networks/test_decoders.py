@@ -161,6 +161,31 @@ def test_shading_is_linear_in_light(decoder: ShadingDecoder) -> None:
     assert not lit(torch.zeros_like(first)).any()
 
 
+def test_transfer_lobes_gather_light_from_elsewhere_and_stay_linear() -> None:
+    torch.manual_seed(0)
+    decoder = ShadingDecoder(replace(TINY, occlusion="lobes"))
+    plain = ShadingDecoder(TINY)
+    plain.load_state_dict(decoder.state_dict(), strict=False)
+    fresh, without = shade(decoder, lightmaps()), shade(plain, lightmaps())
+    more = fresh.diffuse - without.diffuse
+    assert (more > 0).all() and (more < 0.35 * without.diffuse + 0.3).all()
+    trained(decoder)
+    first, second = lightmaps(0), lightmaps(1)
+    one, other, both = (shade(decoder, m).colour for m in (first, second, first + second))
+    torch.testing.assert_close(both, one + other)
+    # All of k_d gone, what is left has none of the light at n itself.
+    with torch.no_grad():
+        last = decoder.diffuse[-1]
+        assert isinstance(last, nn.Linear)
+        last.weight.zero_()
+        last.bias.fill_(-30.0)
+    assert shade(decoder, lightmaps()).diffuse.min() > 0
+    decoder.zero_grad()
+    shade(decoder, lightmaps()).diffuse.sum().backward()
+    assert decoder.transfer is not None
+    assert all(p.grad is not None and p.grad.any() for p in decoder.transfer.parameters())
+
+
 def test_the_papers_residual_is_a_switch() -> None:
     torch.manual_seed(0)
     decoder = trained(ShadingDecoder(replace(TINY, residual="paper")))
