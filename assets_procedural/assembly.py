@@ -7,7 +7,7 @@ import numpy as np
 from assets_procedural.body import eyes, mouth
 from assets_procedural.body.head import Identity
 from assets_procedural.body.piece import Piece
-from assets_procedural.hair import beards, facial_hair, scalp_hair
+from assets_procedural.hair import beards, brows_and_lashes, scalp_hair
 from assets_procedural.outfit import accessories, tops
 from assets_procedural.person import Person
 
@@ -23,7 +23,7 @@ def pieces(person: Person, identity: Identity) -> list[Piece]:
         *tops.wardrobe(person, identity),
         *accessories.accessories(person, identity),
         *scalp_hair.scalp_hair(person, identity, scalp),
-        *facial_hair.brows(person, identity, brows),
-        *facial_hair.lashes(person, identity, brows),
+        *brows_and_lashes.brows(person, identity, brows),
+        *brows_and_lashes.lashes(person, identity, brows),
         *beards.beard(person, identity, beard),
     ]

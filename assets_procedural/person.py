@@ -7,7 +7,7 @@ from pydantic import Field
 from assets_procedural.settings import Parameters
 
 ADULT = 18.0
-"""Years from which on heads go bald and beards grow."""
+"""Age in years from which heads go bald and beards grow."""
 Colour = tuple[float, float, float]
 """Linear Rec.709."""
 
@@ -73,7 +73,7 @@ class Hair(Parameters):
 
 
 class Brows(Parameters):
-    """`style` is a name of `facial_hair.BROWS`, from which the rest departs.
+    """`style` is a name of `brows_and_lashes.BROWS`, from which the rest departs.
 
     `height_mm` lifts the brow, `slope` its outer end (mm per mm), `arch_mm` the peak; `taper`
     thins the tail (below 0 the inner end), `start_mm` moves the inner end outwards. `thickness`
@@ -92,7 +92,7 @@ class Brows(Parameters):
 
 
 class Beard(Parameters):
-    """`style`: none, or a name of `beards.BEARDS`: stubble, moustache, goatee, full …"""
+    """`style`: none, or a name of `beard_styles.BEARDS`: stubble, moustache, goatee, full …"""
 
     style: str = "none"
     length_mm: float = 1.0

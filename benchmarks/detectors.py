@@ -14,16 +14,18 @@ from __future__ import annotations
 import argparse
 import math
 import sys
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import report
 
+from assets_procedural.conventions import console
 from synthgen.dataset import open_dataset
-from synthgen.dataset.folder import StorageError
+from synthgen.dataset.reading import Dataset
 from synthgen.dataset.shot import camera_of
-from totalediting.pretrained.fetch import NetworkError, fetch
+from totalediting.pretrained.fetch import fetch
 
 # MediaPipe's face mesh at iBUG's 68 landmarks and the two pupils (right, left).
 MEDIAPIPE_70 = np.array(
@@ -84,19 +86,25 @@ def read_frames(folder: Path, subset: str | None, max_yaw: float, limit: int | N
     frames = []
     dataset = open_dataset(folder, subset=subset)
     for index in range(len(dataset)):
-        stored = dataset.read(index, ("meta", "geometry"))
-        meta = stored["meta"]
-        angles = head_angles(meta, stored["geometry"])
-        if abs(angles[0]) > max_yaw:
-            continue
-        points = np.array(meta["landmarks"]["points"], float)
-        pictures = [f"rgb_{e:02d}" for e in range(len(meta["environments"]))]
-        for name, image in dataset.read(index, tuple(pictures)).items():
-            name = f"{meta['subset']}/{meta['key']} {name}"
-            frames.append(Frame(name, _opaque(image), points, meta["expression"], angles))
+        for frame in frames_of(dataset, index):
+            if abs(frame.angles[0]) > max_yaw:
+                break
+            frames.append(frame)
             if limit is not None and len(frames) >= limit:
                 return frames
     return frames
+
+
+def frames_of(dataset: Dataset, index: int) -> Iterator[Frame]:
+    """The pictures of one shot, environment after environment."""
+    stored = dataset.read(index, ("meta", "geometry"))
+    meta = stored["meta"]
+    angles = head_angles(meta, stored["geometry"])
+    points = np.array(meta["landmarks"]["points"], float)
+    pictures = tuple(f"rgb_{e:02d}" for e in range(len(meta["environments"])))
+    for name, image in dataset.read(index, pictures).items():
+        name = f"{meta['subset']}/{meta['key']} {name}"
+        yield Frame(name, _opaque(image), points, meta["expression"], angles)
 
 
 def head_angles(meta: dict, geometry: dict[str, np.ndarray]) -> np.ndarray:
@@ -193,8 +201,8 @@ def landmark_errors(truth: np.ndarray, seen: np.ndarray) -> np.ndarray:
 
 def measure(frames: list[Frame], yunet: YuNet, landmarker: FaceLandmarker) -> list[tuple[str, str]]:
     """Rows (figure, value) of the table."""
-    found = [yunet.finds(f) for f in _progress(frames, "YuNet")]
-    readings = [landmarker.read(f) for f in _progress(frames, "MediaPipe")]
+    found = [yunet.finds(f) for f in console.track(frames, "YuNet")]
+    readings = [landmarker.read(f) for f in console.track(frames, "MediaPipe")]
     seen = [(f, r) for f, r in zip(frames, readings, strict=True) if r is not None]
     rows = [
         ("faces", str(len(frames))),
@@ -226,15 +234,6 @@ def _correlation(truth: list, score: list) -> str:
     return f"{np.corrcoef(truth, score)[0, 1]:.3f}"
 
 
-def _progress(frames: list[Frame], name: str):
-    for k, frame in enumerate(frames):
-        if sys.stderr.isatty():
-            print(f"\r{name}: {k + 1}/{len(frames)} faces", end="", file=sys.stderr)
-        yield frame
-    if sys.stderr.isatty():
-        print(file=sys.stderr)
-
-
 def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("dataset", type=Path)
@@ -244,25 +243,18 @@ def main() -> int:
     parser.add_argument("--yunet", type=Path, help="a local YuNet .onnx instead of the pinned one")
     parser.add_argument("--landmarker", type=Path, help="a local face_landmarker.task, likewise")
     options = parser.parse_args()
-    try:
-        frames = read_frames(options.dataset, options.subset, options.yaw, options.limit)
-        if not frames:
-            print(f"{options.dataset}: no face within ±{options.yaw:g}° of yaw", file=sys.stderr)
-            return 1
-        rows = measure(
-            frames,
-            YuNet(options.yunet or fetch("yunet")),
-            FaceLandmarker(options.landmarker or fetch("face_landmarker")),
-        )
-    except ModuleNotFoundError as error:
-        print(f"{error.name} is not installed; run: make benchmark-setup", file=sys.stderr)
+    frames = read_frames(options.dataset, options.subset, options.yaw, options.limit)
+    if not frames:
+        print(f"{options.dataset}: no face within ±{options.yaw:g}° of yaw", file=sys.stderr)
         return 1
-    except (NetworkError, StorageError) as error:
-        print(error, file=sys.stderr)
-        return 1
+    rows = measure(
+        frames,
+        YuNet(options.yunet or fetch("yunet")),
+        FaceLandmarker(options.landmarker or fetch("face_landmarker")),
+    )
     report.table(["figure", "value"], rows)
     return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(report.in_one_line(main))

@@ -19,8 +19,8 @@ from __future__ import annotations
 import argparse
 import importlib
 import sys
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -31,14 +31,14 @@ from detectors import (
     MEDIAPIPE_LOWER_BROWS,
     FaceLandmarker,
     Frame,
-    head_angles,
+    frames_of,
 )
 
+from assets_procedural.conventions import console
 from assets_procedural.motion.poses import PoseSettings, sample_pose
 from synthgen.dataset import open_dataset
-from synthgen.dataset.folder import StorageError
 from synthgen.dataset.reading import Dataset
-from totalediting.pretrained.fetch import NetworkError, fetch
+from totalediting.pretrained.fetch import fetch
 
 ONE_PERSON = 0.363  # cosine of SFace's features from which on OpenCV calls two faces one person
 DLIB_ONE_PERSON = 0.6  # distance of dlib's features, likewise
@@ -96,7 +96,7 @@ class Face:
     features: np.ndarray
 
 
-class Detector:
+class Recogniser:
     """YuNet and SFace through OpenCV, as their makers publish them."""
 
     SIDE = 512  # what pictures are scaled to before detection
@@ -120,7 +120,7 @@ class Detector:
         best[:14] *= len(image) / self.SIDE
         return best
 
-    def recognise(self, image: np.ndarray, box: np.ndarray) -> np.ndarray:
+    def features(self, image: np.ndarray, box: np.ndarray) -> np.ndarray:
         """SFace's features, of length 1."""
         bgr = np.ascontiguousarray(image[..., ::-1])
         features = self._sface.feature(self._sface.alignCrop(bgr, box.astype(np.float32))).ravel()
@@ -171,22 +171,17 @@ class Dlib:
 
 
 def pictures(
-    dataset: Dataset, name: str, detector: Detector
+    dataset: Dataset, name: str, recogniser: Recogniser
 ) -> Iterator[tuple[Frame, Face | None]]:
     """Every picture of a dataset, and the face that is found in it."""
-    for index in _progress(range(len(dataset)), name):
-        stored = dataset.read(index, ("meta", "geometry"))
-        meta = stored["meta"]
-        angles = head_angles(meta, stored["geometry"])
-        points = np.array(meta["landmarks"]["points"], float)
-        members = tuple(f"rgb_{e:02d}" for e in range(len(meta["environments"])))
-        for light, image in enumerate(dataset.read(index, members).values()):
-            image = image[..., :3]
-            face, box = None, detector.find(image)
+    for index in console.track(range(len(dataset)), name):
+        meta = dataset.read(index, ("meta",))["meta"]
+        for light, frame in enumerate(frames_of(dataset, index)):
+            face, box = None, recogniser.find(frame.image)
             if box is not None:
-                features = detector.recognise(image, box)
-                face = Face(meta["subject"], meta["view"], light, image, box, features)
-            yield Frame(meta["key"], image, points, meta["expression"], angles), face
+                features = recogniser.features(frame.image, box)
+                face = Face(meta["subject"], meta["view"], light, frame.image, box, features)
+            yield frame, face
 
 
 def skin(lab: np.ndarray, between: float) -> dict[str, float]:
@@ -242,40 +237,37 @@ def reads_negative(expression: dict[str, float]) -> bool:
     return max(expression.get(name, 0.0) for name in names) > 0.3
 
 
-@dataclass
-class Figures:
-    """Values of the table's rows."""
+Figures = dict[str, float]
+"""Values of rows of `AIMS`."""
 
-    values: dict[str, float] = field(default_factory=dict)
 
-    def rows(self) -> Iterator[tuple[str, str, str, str, str]]:
-        for name, aim in AIMS.items():
-            if name in self.values:
-                value = self.values[name]
-                held = aim.low <= value <= aim.high
-                yield name, aim.photographs, aim.hold, aim.show(value), "yes" if held else "no"
+def rows(figures: Figures) -> Iterator[tuple[str, str, str, str, str]]:
+    for name, aim in AIMS.items():
+        if name in figures:
+            value = figures[name]
+            held = aim.low <= value <= aim.high
+            yield name, aim.photographs, aim.hold, aim.show(value), "yes" if held else "no"
 
 
 def measure_portraits(
-    frames: list[Frame], found: list[Face], detector: Detector, landmarker: FaceLandmarker
+    frames: list[Frame], found: list[Face], recogniser: Recogniser, landmarker: FaceLandmarker
 ) -> Figures:
     """The figures of single pictures, one of each person."""
-    figures = Figures()
-    values = figures.values
+    values: Figures = {}
     values["YuNet's mean score"] = float(np.mean([face.box[14] for face in found]))
     eyes = np.median([np.linalg.norm(face.box[6:8] - face.box[4:6]) for face in found])
     for between in (38, 76):
         if eyes < 0.85 * between:  # nothing is learnt from pixels that are not there
             continue
-        detail = [skin(detector.align(f.image, f.box, between), between) for f in found]
+        detail = [skin(recogniser.align(f.image, f.box, between), between) for f in found]
         for name in (FINE, MID, CHROMA):
             if f"{name}, {between} px" in AIMS:
                 values[f"{name}, {between} px"] = float(np.median([d[name] for d in detail]))
-    dark = [np.percentile(detector.lightness(frame.image), 1) for frame in frames]
+    dark = [np.percentile(recogniser.lightness(frame.image), 1) for frame in frames]
     values["darkest 1 % of a picture, L*, median"] = float(np.median(dark))
     clipped = [(frame.image == 255).any(-1).mean() > 0.1 for frame in frames]
     values["pictures with over 10 % clipped pixels"] = float(np.mean(clipped))
-    readings = [landmarker.read(frame) for frame in _progress(frames, "MediaPipe")]
+    readings = [landmarker.read(frame) for frame in console.track(frames, "MediaPipe")]
     values["found by MediaPipe"] = float(np.mean([r is not None for r in readings]))
     meshes = [reading.mesh for reading in readings if reading is not None]
     values["brow slope"] = float(np.median([brow_slope(mesh) for mesh in meshes]))
@@ -284,20 +276,19 @@ def measure_portraits(
     poses = [sample_pose(rng, PoseSettings()) for _ in range(POSES)]
     negative = np.mean([reads_negative(pose.expression) for pose in poses])
     values["default poses that read negative"] = float(negative)
-    return figures
+    return values
 
 
 def measure_identity(different: list[Face], same: list[Face], dlib: Dlib) -> Figures:
     """How alike `different` people are, and pictures of one person among `same`."""
-    figures = Figures()
-    values = figures.values
+    values: Figures = {}
     features = np.array([face.features for face in different])
     first, second = np.triu_indices(len(features), 1)
     others = (features @ features.T)[first, second]
     values["SFace, different people: mean"] = float(others.mean())
     values[f"SFace, pairs above {ONE_PERSON}"] = float((others > ONE_PERSON).mean())
     values["SFace, largest of all pairs"] = float(others.max())
-    seen = np.array([dlib.recognise(f.image, f.box) for f in _progress(different, "dlib")])
+    seen = np.array([dlib.recognise(f.image, f.box) for f in console.track(different, "dlib")])
     distance = np.linalg.norm(seen[first] - seen[second], axis=1)
     values[f"dlib, pairs below {DLIB_ONE_PERSON}"] = float((distance < DLIB_ONE_PERSON).mean())
     alike: dict[str, list[float]] = {"light": [], "view": [], "both": []}
@@ -313,40 +304,29 @@ def measure_identity(different: list[Face], same: list[Face], dlib: Dlib) -> Fig
         # The share of (same, different) pairs that are ordered right: the Mann-Whitney statistic.
         below = np.searchsorted(np.sort(others), ours) / len(others)
         values["SFace, one person against others: AUC"] = float(below.mean())
-    return figures
+    return values
 
 
 def measure(folder: Path, portraits_of: str, identities_of: str) -> Figures:
     """All figures of a dataset: of one subset single pictures, of another different people."""
-    detector = Detector()
-    portraits = list(pictures(open_dataset(folder, subset=portraits_of), portraits_of, detector))
+    recogniser = Recogniser()
+    portraits = list(pictures(open_dataset(folder, subset=portraits_of), portraits_of, recogniser))
     faces = [face for _, face in portraits if face is not None]
     subjects: dict[str, Frame] = {}
     for frame, _ in portraits:  # the first of each person comes first
-        subjects.setdefault(frame.name.split("_")[0], frame)
+        subjects.setdefault(frame.name.rpartition("_p")[0], frame)
     firsts = [face for face in faces if face.view == face.light == 0]
     landmarker = FaceLandmarker(fetch("face_landmarker"))
-    figures = measure_portraits(list(subjects.values()), firsts, detector, landmarker)
+    figures = measure_portraits(list(subjects.values()), firsts, recogniser, landmarker)
     different = firsts
     if identities_of != portraits_of:
-        identities = pictures(open_dataset(folder, subset=identities_of), identities_of, detector)
+        identities = pictures(open_dataset(folder, subset=identities_of), identities_of, recogniser)
         different = [face for _, face in identities if face and face.view == face.light == 0]
-    figures.values |= measure_identity(different, faces, Dlib()).values
-    return figures
+    return figures | measure_identity(different, faces, Dlib())
 
 
 def _spread(values: np.ndarray) -> float:
     return float(1.4826 * np.median(np.abs(values - np.median(values))))
-
-
-def _progress(items: Iterable, name: str) -> Iterator:
-    items = list(items)
-    for number, item in enumerate(items, 1):
-        if sys.stderr.isatty():
-            print(f"\r{name}: {number}/{len(items)}", end="", file=sys.stderr)
-        yield item
-    if sys.stderr.isatty():
-        print(file=sys.stderr)
 
 
 def main() -> int:
@@ -355,17 +335,10 @@ def main() -> int:
     parser.add_argument("--portraits", default="portraits", help="the subset of single pictures")
     parser.add_argument("--identities", default="identities", help="that of different people")
     options = parser.parse_args()
-    try:
-        figures = measure(options.dataset, options.portraits, options.identities)
-    except ModuleNotFoundError as error:
-        print(f"{error.name} is not installed; run: make benchmark-setup", file=sys.stderr)
-        return 1
-    except (NetworkError, StorageError) as error:
-        print(error, file=sys.stderr)
-        return 1
-    report.table(["figure", "photographs", "hold", "measured", "held"], figures.rows())
+    figures = measure(options.dataset, options.portraits, options.identities)
+    report.table(["figure", "photographs", "hold", "measured", "held"], rows(figures))
     return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(report.in_one_line(main))

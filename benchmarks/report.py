@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +13,8 @@ from pathlib import Path
 from rich import box
 from rich.live import Live
 from rich.table import Table
+
+from assets_procedural.conventions.errors import UserError
 
 
 @dataclass
@@ -68,6 +70,17 @@ def table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
     for row in rows:
         _print_row(row)
     print(flush=True)
+
+
+def in_one_line(program: Callable[[], int]) -> int:
+    """The exit code of a program; what a user can mend ends it with 1 and one line on stderr."""
+    try:
+        return program()
+    except ModuleNotFoundError as error:
+        print(f"{error.name} is not installed; run: make benchmark-setup", file=sys.stderr)
+    except UserError as error:
+        print(error, file=sys.stderr)
+    return 1
 
 
 def _print_row(cells: Sequence[object]) -> None:

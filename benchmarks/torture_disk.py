@@ -43,6 +43,7 @@ from synthgen.farm.repair import repair  # noqa: E402
 from synthgen.publish.verify import verify  # noqa: E402
 
 RUN = """
+import json
 import sys
 from pathlib import Path
 import fake_renderer

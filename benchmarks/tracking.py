@@ -49,7 +49,7 @@ from totalediting.geometry.identity import identity_basis
 from totalediting.geometry.rig import camera_of
 from totalediting.geometry.tracking import Tracking
 from totalediting.networks.head_tracker import HeadTracker
-from totalediting.pretrained.fetch import NetworkError, fetch
+from totalediting.pretrained.fetch import fetch
 from totalediting.training import checkpoints
 
 AT_ONCE = 16  # pictures
@@ -300,16 +300,12 @@ def main() -> int:
     parser.add_argument("--clip", type=Path, help="a video of one face")
     parser.add_argument("--every", type=int, default=4, help="take every n-th of its frames (4)")
     options = parser.parse_args()
-    try:
-        network, training = trained(options.run)
-        accuracy(network, options.data, options.split, training)
-        if options.clip is not None:
-            clip(network, options.clip, options.every)
-    except (InputError, NetworkError) as error:
-        print(error, file=sys.stderr)
-        return 1
+    network, training = trained(options.run)
+    accuracy(network, options.data, options.split, training)
+    if options.clip is not None:
+        clip(network, options.clip, options.every)
     return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(report.in_one_line(main))

@@ -14,8 +14,6 @@ from synthgen import farm
 from synthgen.farm import DEFAULT_RENDERER
 
 if TYPE_CHECKING:
-    from assets_procedural.light.pool import EnvironmentSpec
-    from synthgen.dataset.ledger import Status
     from synthgen.planning.plan import Plan
 
 app = typer.Typer(
@@ -38,7 +36,7 @@ Device = Annotated[farm.Device, typer.Option(help="What Blender renders on.")]
 Threads = Annotated[int, typer.Option(min=1, help="Threads per worker.")]
 Subset = Annotated[str | None, typer.Option(help="The subset, if the key occurs in more than one.")]
 Renderer = Annotated[str, typer.Option(hidden=True)]
-_QUERY = 4 << 30  # bytes of a query: DuckDB's own limit does not count the values of functions
+_QUERY_BYTES = 4 << 30  # DuckDB's own limit does not count the values of functions
 _OR_HERE = ", in the current folder where that cannot be written."
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON, with the keys listed above.")]
 
@@ -65,10 +63,9 @@ def jobs() -> None:
         table.add_column(column, justify="right")
     table.add_column("what for")
     for name, file in shipped_jobs().items():
-        subsets = load_job(file).subsets.values()
-        people = sum(s.subjects for s in subsets)
-        frames = sum(s.subjects * s.shots * s.environments for s in subsets)
-        table.add_row(name, f"{people:,}", f"{frames:,}", purpose(file))
+        spec = load_job(file)
+        frames = sum(s.subjects * s.shots * s.environments for s in spec.subsets.values())
+        table.add_row(name, f"{spec.different_people:,}", f"{frames:,}", purpose(file))
     console.stdout().print(table)
 
 
@@ -193,7 +190,7 @@ def render(
     preflight.check_output(out)
     preflight.check_disk(out, spec, slice_, limit)
     preflight.check_device(device)
-    _check_panoramas(environments, out, job)
+    preflight.check_panoramas(environments, out, job)
     if workers is None and device != "cpu":
         workers = 1
     summary = render_job(
@@ -209,7 +206,9 @@ def render(
         time_limit=time_limit,
     )
     if summary.rendered:
-        _remember_costs(out, device, threads)
+        from synthgen.farm.recorded import remember_costs
+
+        remember_costs(out, device, threads)
     screen = console.stdout()
     done = f"{console.count(summary.rendered, 'subject')}, {console.count(summary.frames, 'frame')}"
     took = console.duration(summary.seconds)
@@ -231,36 +230,13 @@ def status(out: Dataset, as_json: AsJson = False) -> None:
     while nothing runs), subsets (name, subjects, done, failed, shards, bytes, frames_per_subject),
     running (subset, key, seconds), failures (subset, key, attempts, reason, log).
     """
-    from rich.table import Table
-
-    from synthgen.dataset import ledger
+    from synthgen.dataset import ledger, status_report
 
     state = ledger.status(out)
     if as_json:
-        _print_json(_status_as_json(state))
-        return
-    screen = console.stdout()
-    table = Table(title=f"{state.name} in {out}", title_justify="left")
-    table.add_column("subset")
-    for column in ("subjects", "done", "given up", "shards", "size"):
-        table.add_column(column, justify="right")
-    for s in state.subsets:
-        counts = [f"{n:,}" for n in (s.subjects, s.done, s.failed, s.shards)]
-        table.add_row(s.name, *counts, console.size(s.bytes))
-    screen.print(table)
-    done, total = state.frames
-    line = f"{done:,} of {console.count(total, 'frame')}"
-    if state.frames_per_second:
-        line += f", {state.frames_per_second * 3600:,.0f} frames per hour"
-        line += f" by {console.count(state.workers, 'worker')}"
-    if state.seconds_left is not None:
-        line += f", {console.duration(state.seconds_left)} left"
-    screen.print(line + ("; complete" if state.complete else ""))
-    for entry in state.running:
-        screen.print(f"running: {entry.subset}/{entry.key} for {console.duration(entry.seconds)}")
-    for entry in state.failures:
-        tries = console.count(entry.attempts, "attempt")
-        screen.print(f"failed: {entry.subset}/{entry.key}, {tries}: {entry.reason}")
+        _print_json(status_report.as_json(state))
+    else:
+        status_report.report(state, out, console.stdout())
 
 
 @app.command()
@@ -323,9 +299,10 @@ def show(
     ] = None,
 ) -> None:
     """Draw one shot with all its passes and environments; prints the picture's path."""
+    from synthgen.beside import beside
     from synthgen.pictures import shot_sheet
 
-    target = output or _beside(out, f"-{key.replace('/', '-')}.png")
+    target = output or beside(out, f"-{key.replace('/', '-')}.png")
     console.say(shot_sheet.show(out, key, target, subset=subset))
 
 
@@ -343,13 +320,14 @@ def sheet(
             help="Only pictures, edge to edge: one of each person, or all of a single person.",
         ),
     ] = False,
-    subset: Subset = None,
+    subset: Annotated[str | None, typer.Option(help="Of --portraits: only this subset.")] = None,
     columns: Annotated[int, typer.Option(help="Of --portraits, in a row.", min=1, max=40)] = 5,
 ) -> None:
     """Draw a contact sheet of a dataset; prints the picture's path."""
+    from synthgen.beside import beside
     from synthgen.pictures import sheet as drawing
 
-    target = output or _beside(out, ".png")
+    target = output or beside(out, ".png")
     if portraits:
         console.say(drawing.portraits(out, target, subset, columns))
     else:
@@ -368,9 +346,10 @@ def clip(
     fps: Annotated[float, typer.Option(help="Frames a second.", min=1, max=60)] = 25.0,
 ) -> None:
     """Play the frames of one subject as an animated picture; prints its path."""
+    from synthgen.beside import beside
     from synthgen.pictures import clip as drawing
 
-    target = output or _beside(out, f"-{subject.replace('/', '-')}.webp")
+    target = output or beside(out, f"-{subject.replace('/', '-')}.webp")
     console.say(drawing.clip(out, subject, target, environment, fps))
 
 
@@ -427,7 +406,7 @@ def query(
     from synthgen.publish import answers
 
     with (
-        contextlib.nullcontext() if unlocked else limited_memory(_QUERY),
+        contextlib.nullcontext() if unlocked else limited_memory(_QUERY_BYTES),
         manifest.answering(out, sql, unlocked) as answer,
     ):
         answers.write(answer, format_, output)
@@ -452,12 +431,13 @@ def export(
     ] = None,
 ) -> None:
     """Export a dataset to another tool: a transforms.json per subject and environment."""
+    from synthgen.beside import beside
     from synthgen.dataset import open_dataset
     from synthgen.publish.export import nerfstudio
 
     write = {"nerfstudio": nerfstudio}[format_]
     chosen = open_dataset(out, subset=subset, split=split, where=where)
-    console.say(write(chosen, target or _beside(out, f"-{format_}")))
+    console.say(write(chosen, target or beside(out, f"-{format_}")))
 
 
 @app.command()
@@ -486,84 +466,8 @@ def browse(
     serve(out, host, port, cache, console.say, ready)
 
 
-def _beside(out: Path, ending: str) -> Path:
-    """Where a picture or an export goes by default: beside the dataset, or into this folder."""
-    import os
-
-    from synthgen.errors import JobError
-
-    folder = out if out.name not in ("", "..") else out.resolve()
-    target = folder.with_name((folder.name or "dataset") + ending)
-    for candidate in (target, Path(target.name)):
-        if os.access(candidate.parent, os.W_OK | os.X_OK):
-            return candidate
-    remedy = f"neither {target.parent} nor the current folder can be written; give another place"
-    raise JobError("--output", "", "", remedy)
-
-
 def _print_json(answer: dict[str, Any]) -> None:
     import json
 
     # Escaped in ASCII: a terminal obeys more characters than JSON escapes otherwise.
     typer.echo(json.dumps(answer, indent=1))
-
-
-def _status_as_json(state: Status) -> dict[str, Any]:
-    done, total = state.frames
-    return {
-        "name": state.name,
-        "complete": state.complete,
-        "frames": total,
-        "frames_done": done,
-        "workers": state.workers,
-        "frames_per_second": state.frames_per_second,
-        "seconds_left": state.seconds_left,
-        "subsets": [
-            {
-                "name": s.name,
-                "subjects": s.subjects,
-                "done": s.done,
-                "failed": s.failed,
-                "shards": s.shards,
-                "bytes": s.bytes,
-                "frames_per_subject": s.frames_per_subject,
-            }
-            for s in state.subsets
-        ],
-        "running": [
-            {"subset": r.subset, "key": r.key, "seconds": r.seconds} for r in state.running
-        ],
-        "failures": [
-            {
-                "subset": f.subset,
-                "key": f.key,
-                "attempts": f.attempts,
-                "reason": f.reason,
-                "log": f.log,
-            }
-            for f in state.failures
-        ],
-    }
-
-
-def _remember_costs(out: Path, device: str, threads: int) -> None:
-    """For `plan`, what this run took; a cache that cannot be written spoils no rendering."""
-    import contextlib
-
-    from synthgen.dataset.folder import StorageError
-    from synthgen.farm import calibration
-    from synthgen.farm.recorded import recorded_costs
-
-    with contextlib.suppress(OSError, StorageError):
-        calibration.save(recorded_costs(out, device, threads))
-
-
-def _check_panoramas(environments: list[EnvironmentSpec], out: Path, file: str) -> None:
-    """Read the user's own panoramas, except those that the dataset holds already."""
-    from synthgen.dataset.folder import DatasetFolder
-    from synthgen.farm import preflight
-
-    folder = DatasetFolder(out)
-    unseen = [e for e in environments if e.kind == "file" and not folder.environment(e.id).exists()]
-    for environment in console.track(unseen, "reading panoramas"):
-        preflight.check_panorama(environment, file)

@@ -29,7 +29,8 @@ for package in (assets_procedural, synthgen):
 import numpy as np
 from assets_procedural.assembly import pieces
 from assets_procedural.body.head import HeadModel
-from assets_procedural.people.person_sampling import PeopleSettings, sample_person
+from assets_procedural.people.people_settings import PeopleSettings
+from assets_procedural.people.person_sampling import sample_person
 
 person = sample_person(np.random.default_rng(0), PeopleSettings())
 assert pieces(person, HeadModel.load().identity(person))

@@ -247,6 +247,47 @@ def show(
     console.say(target)
 
 
+@app.command()
+def track(
+    source: Annotated[
+        Path, typer.Argument(metavar="INPUT", help="A picture, folder, video or dataset.")
+    ],
+    out: Annotated[Path, typer.Option("--out", metavar="FILE.parquet", help="Table to write.")],
+) -> None:
+    """Fit the bust to every face: motion, identity and camera. Run again to resume."""
+    from totalediting.editing import track as tracking
+
+    for note in tracking.track(source, out):
+        typer.echo(note, err=True)
+    console.say(out)
+
+
+@app.command()
+def edit(
+    appearance: Annotated[
+        Path, typer.Option(metavar="A", help="Photograph of the person to show.")
+    ],
+    out: Annotated[
+        Path, typer.Option("--out", metavar="O", help="Picture (.png), or video (.mp4), to write.")
+    ],
+    motion: Annotated[
+        Path | None, typer.Option(metavar="M", help="Photograph or video whose motion to take.")
+    ] = None,
+    lighting: Annotated[
+        Path | None,
+        typer.Option(metavar="L", help="Panorama (.exr, .hdr) or photograph whose light to take."),
+    ] = None,
+    engine: Annotated[Literal["warp"], typer.Option(help="How: warp takes no training.")] = "warp",
+) -> None:
+    """Show a person in the motion of another, in another light."""
+    del engine  # one so far
+    from totalediting.editing import edit as editing
+
+    for note in editing.edit(appearance, motion, lighting, out):
+        typer.echo(note, err=True)
+    console.say(out)
+
+
 def _print_figures(found: dict[str, dict[str, float]]) -> None:
     """Figures by stage, one a line."""
     from totalediting.training import figures

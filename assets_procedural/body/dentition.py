@@ -12,6 +12,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from assets_procedural.mesh.sweep import tube_faces
+from assets_procedural.mesh.vectors import way_along
 
 RINGS = 11
 AROUND = 20
@@ -103,9 +104,9 @@ class _Arch:
 
     def __init__(self, half: np.ndarray):
         mirrored = np.concatenate([half[:0:-1] * [-1, 1], half])
-        chord = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(mirrored, axis=0), axis=1))])
+        chord = way_along(mirrored)
         dense = CubicSpline(chord, mirrored)(np.linspace(0, chord[-1], 801))
-        arc = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(dense, axis=0), axis=1))])
+        arc = way_along(dense)
         self.length = float(arc[-1] / 2)
         self._curve = CubicSpline(arc - self.length, dense)
         self._tangent = self._curve.derivative()

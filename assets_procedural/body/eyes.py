@@ -106,6 +106,12 @@ def eyeball(identity: Identity, name: str) -> tuple[np.ndarray, float]:
     return _fit_sphere(identity.rest[identity.model.groups[name]])
 
 
+def _posed_eyeball(bust: Bust, name: str) -> tuple[np.ndarray, float]:
+    """`eyeball` of a bust in the head's unposed frame, shrunk as far as its lid is closed."""
+    centre, radius = eyeball(bust.identity, name)
+    return centre, radius * (1 - _sink(bust, name))
+
+
 def _fit_sphere(points: np.ndarray) -> tuple[np.ndarray, float]:
     system = np.concatenate([2 * points, np.ones((len(points), 1))], axis=1)
     solution = np.linalg.lstsq(system, (points**2).sum(axis=1), rcond=None)[0]
@@ -249,8 +255,7 @@ def _lid_pieces(name: str, part: Part) -> list[MeshPiece]:
     above = np.array([0.02, 0.14, 0.42, 0.85])
 
     def tear(bust: Bust) -> np.ndarray:
-        centre, radius = eyeball(bust.identity, name)
-        radius *= 1 - _sink(bust, name)
+        centre, radius = _posed_eyeball(bust, name)
         theta = _lids(bust.model, name).contact(bust, centre, radius, phi)
         kernel = np.ones(5) / 5
         theta = np.convolve(np.pad(theta, 2, mode="edge"), kernel, mode="valid")
@@ -267,8 +272,7 @@ def _lid_pieces(name: str, part: Part) -> list[MeshPiece]:
     )
 
     def caruncle(bust: Bust) -> np.ndarray:
-        centre, radius = eyeball(bust.identity, name)
-        radius *= 1 - _sink(bust, name)
+        centre, radius = _posed_eyeball(bust, name)
         corner = _lids(bust.model, name).inner_corner(bust) - centre
         seat = corner + (1.1e-3 if name == "eye_left" else -1.1e-3) * np.array([1, 0, 0])
         seat *= (radius - 0.2e-3) / np.linalg.norm(seat)
@@ -305,8 +309,7 @@ def _lid_shade(name: str, part: Part) -> MeshPiece:
     shade = dark * (0.6 + 0.4 * upper[:, None])
 
     def place(bust: Bust) -> np.ndarray:
-        centre, radius = eyeball(bust.identity, name)
-        radius *= 1 - _sink(bust, name)
+        centre, radius = _posed_eyeball(bust, name)
         theta = _lids(bust.model, name).contact(bust, centre, radius, phi)
         theta = np.convolve(np.pad(theta, 2, mode="wrap"), np.ones(5) / 5, mode="valid")
         inwards = np.minimum(width / radius, 0.6 * theta)

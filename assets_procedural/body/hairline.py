@@ -49,7 +49,7 @@ def hairline_distance(points: np.ndarray, person: Person) -> np.ndarray:
 def bare_crown(points: np.ndarray, person: Person) -> np.ndarray:
     """The share (R,) of hair that template points have lost to baldness of the crown.
 
-    A bare spot at the whorl that grows with `Hair.thinning` until only a horseshoe is left.
+    A bare spot on the crown that grows with `Hair.thinning` until only a horseshoe is left.
     """
     lost = person.hair.thinning
     if lost == 0:

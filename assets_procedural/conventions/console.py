@@ -216,7 +216,7 @@ class _Apart:
 
 
 def _descriptor(stream: Any) -> int:
-    """Of a stream, -1 if it has none."""
+    """A stream's file descriptor, -1 if it has none."""
     try:
         return stream.fileno()
     except (AttributeError, OSError, ValueError):

@@ -31,10 +31,7 @@ def read_exr(path: Path, choice: str, largest: int | None) -> StoredPanorama:
     layers = _layers(header)
     part, names = _choose(path, choice, layers)
     attributes = header.parts[part].header
-    windows = [part.header["dataWindow"] for part in header.parts]
-    texels = [int(np.prod(high.astype(np.int64) - low + 1)) for low, high in windows]
-    channels = [len(part.header["channels"]) for part in header.parts]
-    check_fits(path, 4 * sum(n * c for n, c in zip(texels, channels, strict=True)), largest)
+    check_fits(path, _decoded(header), largest)
     with console.without_chatter(), _damaged(path):
         file = OpenEXR.File(str(path), separate_channels=True)
         if len(file.parts) != len(header.parts):  # it leaves out what it cannot read
@@ -77,17 +74,21 @@ def read_exr(path: Path, choice: str, largest: int | None) -> StoredPanorama:
     return image
 
 
-def exr_header(path: Path, largest: int | None) -> Any:
-    """A file opened without its pixels, which fit into memory."""
+def check_exr_size(path: Path, largest: int | None) -> None:
+    """Raise `PanoramaError` if the pixels of a file do not fit into `largest` bytes of memory."""
     import OpenEXR
 
     with console.without_chatter(), _damaged(path):
-        file = OpenEXR.File(str(path), header_only=True)
-        windows = [part.header["dataWindow"] for part in file.parts]
-        texels = [int(np.prod(high.astype(np.int64) - low + 1)) for low, high in windows]
-        channels = [len(part.header["channels"]) for part in file.parts]
-    check_fits(path, 4 * sum(n * c for n, c in zip(texels, channels, strict=True)), largest)
-    return file
+        size = _decoded(OpenEXR.File(str(path), header_only=True))
+    check_fits(path, size, largest)
+
+
+def _decoded(file: Any) -> int:
+    """Bytes that all channels of a file take in memory."""
+    windows = [part.header["dataWindow"] for part in file.parts]
+    texels = [int(np.prod(high.astype(np.int64) - low + 1)) for low, high in windows]
+    channels = [len(part.header["channels"]) for part in file.parts]
+    return 4 * sum(n * c for n, c in zip(texels, channels, strict=True))
 
 
 @dataclass(frozen=True)

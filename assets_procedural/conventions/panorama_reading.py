@@ -93,7 +93,7 @@ def check_size(path: Path, largest: int) -> None:
     with path.open("rb") as file:
         magic = file.read(4)
     if magic == panorama_exr.MAGIC:
-        panorama_exr.exr_header(path, largest)
+        panorama_exr.check_exr_size(path, largest)
     else:
         _, _, (height, width), _ = panorama_hdr.hdr_header(path)
         check_fits(path, 12 * height * width, largest)

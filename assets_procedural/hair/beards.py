@@ -18,7 +18,7 @@ from assets_procedural.conventions.parts import Part
 from assets_procedural.hair.beard_styles import BEARD_STYLES, BEARDS, BeardStyle
 from assets_procedural.hair.strands import clump, locks, tapered, tousled, wander
 from assets_procedural.hair.tones import colouring
-from assets_procedural.mesh.vectors import arctan2, smoothstep, unit
+from assets_procedural.mesh.vectors import across, arctan2, smoothstep, unit
 from assets_procedural.person import Person
 
 # Azimuth about the skull's axis (degrees) → upper edge on the cheek in template space.
@@ -148,8 +148,7 @@ def _grown(
 ) -> np.ndarray:
     """Strands (N, points, 3) that leave the skin by the share `lift` of its normal, then flow."""
     normal = unit(roots.of(identity.neutral.normals))
-    along_skin = unit(flow - normal * (flow * normal).sum(-1, keepdims=True))
-    heading = unit(along_skin * (1 - lift) + normal * lift)
+    heading = unit(across(flow, normal) * (1 - lift) + normal * lift)
     step = (length / (points - 1))[:, None]
     # Long hair gives way to its weight.
     weight = np.array([0, 0, -1.0]) * smoothstep(0.01, 0.05, length)[:, None]

@@ -12,7 +12,7 @@ from assets_procedural.body.roots import HeadFrame
 from assets_procedural.hair.draping import Surface
 from assets_procedural.hair.strands import sideways, spread
 from assets_procedural.hair.styles import Style
-from assets_procedural.mesh.vectors import smoothstep, unit
+from assets_procedural.mesh.vectors import smoothstep, unit, way_along
 from assets_procedural.person import Person
 
 _CLEAR = 0.02
@@ -70,8 +70,7 @@ def _hanging(
 def _across(axis: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Two unit fields (K, 3) across an axis (K, 3), and the way (K,) along it."""
     across, other = sideways(axis[None])
-    way = np.append(0, np.cumsum(np.linalg.norm(np.diff(axis, axis=0), axis=1)))
-    return across[0], other[0], way
+    return across[0], other[0], way_along(axis)
 
 
 def _tail(axis: np.ndarray, count: int, person: Person, rng: np.random.Generator) -> np.ndarray:

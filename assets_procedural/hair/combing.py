@@ -17,13 +17,12 @@ WHORL = np.array([0.008, 0.012, 0.849])
 class Guides:
     """What a combing function sees: template-space points and what is fixed per guide, all (G, …).
 
-    `point` now, `root` the origin, `side` -1 or 1 of the parting, `travelled` metres so far.
+    `point` now, `root` the origin, `side` -1 or 1 of the parting.
     """
 
     point: np.ndarray
     root: np.ndarray
     side: np.ndarray
-    travelled: np.ndarray
 
 
 Combing = Callable[[Guides], np.ndarray]

@@ -32,11 +32,10 @@ class Surface:
     normals: np.ndarray
 
     @staticmethod
-    def of(bust: Bust, without_ears: bool = True) -> Surface:
+    def of(bust: Bust) -> Surface:
         """The skin of a bust; ears are left out since strands would get caught in their folds."""
         index = bust.model.groups["skin"]
-        if without_ears:
-            index = index[bust.model.masks["ears"][index] < 0.5]
+        index = index[bust.model.masks["ears"][index] < 0.5]
         inside = bust.model.masks["inside-mouth"][index] > 0.3
         index = index[~inside]
         return Surface(bust.vertices[index], bust.normals[index])

@@ -13,7 +13,7 @@ from assets_procedural.hair.draping import Surface
 from assets_procedural.hair.scalp import part_gap
 from assets_procedural.hair.strands import resample, tousled
 from assets_procedural.hair.styles import Style
-from assets_procedural.mesh.vectors import smoothstep, unit
+from assets_procedural.mesh.vectors import across, smoothstep, unit
 from assets_procedural.person import Person
 
 _STEPS = 30
@@ -81,23 +81,23 @@ def grow(
     # Hair leaves a parting flat; anywhere else it stands off the skin first.
     lift = style.lift * smoothstep(0.0, 0.04, beside)[:, None] * np.where(bound, 0.5, 1)[:, None]
 
-    def combed(at: np.ndarray, up: np.ndarray, travelled: np.ndarray) -> np.ndarray:
-        flow = style.combing(Guides(frame.to_template(at), root_at, sweep, travelled)) @ axes
+    def combed(at: np.ndarray, up: np.ndarray) -> np.ndarray:
+        flow = style.combing(Guides(frame.to_template(at), root_at, sweep)) @ axes
         flow = unit(flow + unrest * 0.6)
         if style.combing is upright:
             return flow
         flow = np.where(bound[:, None], unit(ties - at), flow)
-        return unit(flow - up * (flow * up).sum(-1, keepdims=True))
+        return across(flow, up)
 
     forward = np.where(root_at[:, 1] + rng.normal(0, 0.01, len(root)) < -0.055, -1.0, 1.0)
     aside = np.stack([-0.25 * np.sign(root[:, 0]), 0.45 * forward, 0 * forward], axis=1)
-    flow = combed(point, normal, np.zeros(len(root)))
+    flow = combed(point, normal)
     heading = unit(lift * normal + (1 - lift) * flow)
     signed, up = surface.distance(point)
     for index in range(_STEPS):
         travelled = (index + 1) * step[:, 0]
         hold = np.where(bound, 1.0, np.exp(-travelled / style.reach))[:, None]
-        want = combed(point, up, travelled) * hold
+        want = combed(point, up) * hold
         want = want + np.array([0, 0, -1.0]) * style.gravity * (1 - 0.6 * hold) * ~bound[:, None]
         # On the shoulders hair slides to the chest or to the back.
         want = want + aside * smoothstep(chin + 0.03, chin - 0.05, point[:, 2])[:, None]

@@ -10,7 +10,16 @@ import numpy as np
 from assets_procedural.body.hairline import hairline_distance
 from assets_procedural.hair.braiding import roped
 from assets_procedural.hair.scalp import near_parting
-from assets_procedural.hair.strands import clump, coil, locks, resample, tapered, tousled, wander
+from assets_procedural.hair.strands import (
+    clump,
+    coil,
+    locks,
+    resample,
+    strand_lengths,
+    tapered,
+    tousled,
+    wander,
+)
 from assets_procedural.hair.styles import Style
 from assets_procedural.mesh.vectors import smoothstep, unit
 from assets_procedural.person import Person
@@ -39,7 +48,7 @@ def detailed(
     stop = np.where(gathered, 1 - 0.7 * (rng.random(count) < 0.05) * rng.random(count), stop)
     # Baby hair: the outermost hairs are short, fine and go their own ways.
     baby = (rng.random(count) < smoothstep(2, -4, inside)) & ~tail
-    reach = np.linalg.norm(np.diff(strands, axis=1), axis=2).sum(axis=1)
+    reach = strand_lengths(strands)
     short = rng.uniform(0.004, 0.022, count) / np.maximum(reach, 1e-3)
     stop = np.where(baby, np.minimum(stop, short), stop)
     fly = (rng.random(count) < style.flyaway) & ~tail
@@ -72,7 +81,7 @@ def detailed(
     strands = wander(strands, stray, rng)
     amplitude, turn = style.wave
     if amplitude > 0:
-        reach = np.linalg.norm(np.diff(strands, axis=1), axis=2).sum(axis=1)
+        reach = strand_lengths(strands)
         width = amplitude * (0.7 + 0.6 * person.hair.curl) * rng.uniform(0.7, 1.2, count)
         width = np.minimum(np.where(gathered, 0.15, 1) * width, 0.2 * reach)
         # A lock curls as one, with a little of every strand's own.

@@ -27,7 +27,8 @@ def over_years(young: tuple[float, float], old: tuple[float, float]) -> ByAge:
     return by_age
 
 
-def balding(age: float, male: bool) -> float:
+def rising_with_baldness(age: float, male: bool) -> float:
+    """More popular with men the older they are; not for children."""
     factor = 0.15 + 4.5 * np.clip((age - 28.0) / 40.0, 0.0, 1.0) if male else 1.0
     return factor * (age >= ADULT)
 

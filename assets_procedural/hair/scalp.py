@@ -18,7 +18,7 @@ from assets_procedural.mesh.vectors import smoothstep
 from assets_procedural.person import Person
 
 
-def balding(person: Person, style: Style) -> Person:
+def with_style_loss(person: Person, style: Style) -> Person:
     """The person with at least the hair loss that the style shows."""
     hair = person.hair
     least = {

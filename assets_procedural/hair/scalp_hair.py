@@ -17,8 +17,13 @@ from assets_procedural.hair.combing import upright
 from assets_procedural.hair.draping import Draped, Surface, chin_height
 from assets_procedural.hair.growth import CLOTHES_MARGIN, grow, tie_points
 from assets_procedural.hair.hair_detail import detailed
-from assets_procedural.hair.scalp import balding, parted_aside, parting_sides, scalp_density
-from assets_procedural.hair.strands import mix, resample, spread
+from assets_procedural.hair.scalp import (
+    parted_aside,
+    parting_sides,
+    scalp_density,
+    with_style_loss,
+)
+from assets_procedural.hair.strands import mix, resample, spread, strand_lengths
 from assets_procedural.hair.styles import STYLES, Style
 from assets_procedural.hair.tones import colouring, toned
 from assets_procedural.mesh.vectors import smoothstep, unit
@@ -43,7 +48,7 @@ def scalp_hair(person: Person, identity: Identity, rng: np.random.Generator) -> 
     style = STYLES[person.hair.style]
     if style.count == 0 or hides_hair(person.hat):
         return []
-    person = parted_aside(balding(person, style), style.aside)
+    person = parted_aside(with_style_loss(person, style), style.aside)
     return [_grown(style, person, identity, rng)]
 
 
@@ -99,7 +104,7 @@ def _grown(
     temples = smoothstep(0.80, 0.72, child_at[:, 2])
     grey = np.clip(hair.grey * (0.75 + 0.6 * temples), 0, 0.96)
     shading = colouring(hair.melanin, hair.redness, grey, len(strands), rng, style.roughness)
-    length = np.linalg.norm(np.diff(strands, axis=1), axis=2).sum(axis=1)
+    length = strand_lengths(strands)
     # A tail is the far end of the hair that is tied.
     length = np.where(tail, length + 0.15, length)
     return StrandPiece("hair", Part.HAIR, radius, place, toned(shading, hair, tone, length))

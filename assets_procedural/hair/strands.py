@@ -8,7 +8,12 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import KDTree
 
-from assets_procedural.mesh.vectors import smoothstep, unit
+from assets_procedural.mesh.vectors import across, smoothstep, unit
+
+
+def strand_lengths(strands: np.ndarray) -> np.ndarray:
+    """Metres (N,) from root to tip along strands (N, K, 3)."""
+    return np.linalg.norm(np.diff(strands, axis=1), axis=2).sum(axis=1)
 
 
 def resample(strands: np.ndarray, stop: np.ndarray, count: int) -> np.ndarray:
@@ -78,7 +83,7 @@ def clump(strands: np.ndarray, leader: np.ndarray, strength: np.ndarray | float)
     profile = 1 - np.exp(-4 * along)
     pull = np.broadcast_to(np.asarray(strength), (len(strands),))[:, None] * profile
     offset = (strands[leader] - strands) * np.minimum(pull, 0.96)[..., None]
-    reach = np.linalg.norm(np.diff(strands, axis=1), axis=2).sum(axis=1)
+    reach = strand_lengths(strands)
     moved = np.linalg.norm(offset[:, -1], axis=1)
     return strands + offset * np.minimum(1, 0.33 * reach / np.maximum(moved, 1e-9))[:, None, None]
 
@@ -87,8 +92,8 @@ def sideways(strands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Two unit fields (N, K, 3) across the strands, stable along each strand."""
     tangent = unit(np.gradient(strands, axis=1))
     reference = unit(np.cross(unit(strands[:, -1] - strands[:, 0]), [0.3, 0.9, 0.2]))[:, None]
-    across = unit(reference - tangent * (tangent * reference).sum(-1, keepdims=True))
-    return across, np.cross(tangent, across)
+    beside = across(reference, tangent)
+    return beside, np.cross(tangent, beside)
 
 
 def wander(
@@ -97,14 +102,14 @@ def wander(
     """Add a smooth random drift to strands (N, K, 3); `amplitude` metres at the tips."""
     count, points = strands.shape[:2]
     along = np.linspace(0, 1, points)
-    across, other = sideways(strands)
+    beside, other = sideways(strands)
     drift = np.zeros((2, count, points))
     for order in (1, 2, 3):
         wave = rng.normal(size=(2, count, 1)) / order
         phase = rng.random((2, count, 1)) * 2 * np.pi
         drift += wave * (np.sin(np.pi * order * along + phase) - np.sin(phase))
     scale = np.broadcast_to(np.asarray(amplitude), (count,))[:, None] * along
-    return strands + (drift[0] * scale)[..., None] * across + (drift[1] * scale)[..., None] * other
+    return strands + (drift[0] * scale)[..., None] * beside + (drift[1] * scale)[..., None] * other
 
 
 def coil(
@@ -113,20 +118,19 @@ def coil(
     turns: np.ndarray,
     phase: np.ndarray,
     flat: float = 0.0,
-    onset: float = 0.25,
 ) -> np.ndarray:
     """Wind strands (N, K, 3) into helices; `flat` 1 makes plane waves of them.
 
     `amplitude` (N,) metres, `turns` (N,) per strand, `phase` (N,) radians; the coil grows to its
-    full width over the first `onset` of the strand.
+    full width over the first quarter of the strand.
     """
     along = np.linspace(0, 1, strands.shape[1])
-    across, other = sideways(strands)
+    beside, other = sideways(strands)
     angle = 2 * np.pi * turns[:, None] * along + phase[:, None]
-    width = amplitude[:, None] * smoothstep(0, onset, along)
+    width = amplitude[:, None] * smoothstep(0, 0.25, along)
     first = (np.cos(angle) - np.cos(phase)[:, None] * (1 - along)) * width
     second = (np.sin(angle) - np.sin(phase)[:, None] * (1 - along)) * width * (1 - flat)
-    return strands + first[..., None] * across + second[..., None] * other
+    return strands + first[..., None] * beside + second[..., None] * other
 
 
 def tapered(

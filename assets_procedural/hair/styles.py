@@ -21,7 +21,7 @@ from assets_procedural.hair.combing import (
     combed_under,
     upright,
 )
-from assets_procedural.hair.popularity import Popularity, balding, over_years
+from assets_procedural.hair.popularity import Popularity, over_years, rising_with_baldness
 
 
 @dataclass(frozen=True)
@@ -131,17 +131,18 @@ _COILY_HAIR = (0.0, 0.03, 2.0)
 STYLES: dict[str, Style] = {
     # Bare and clipped
     "bald": Style(
-        Popularity(0.03, 0.5, by_age=balding), combed_from_whorl, (0, 0), count=0, under_hat=True,
+        Popularity(0.03, 0.5, by_age=rising_with_baldness), combed_from_whorl, (0, 0), count=0,
+        under_hat=True,
     ),
     "shaved": Style(
-        Popularity(0.06, 0.6, (0.8, 0.8, 1.4), balding), combed_from_whorl, (0.0015, 0.003),
-        **_CLIPPED,
+        Popularity(0.06, 0.6, (0.8, 0.8, 1.4), rising_with_baldness), combed_from_whorl,
+        (0.0015, 0.003), **_CLIPPED,
     ),
     "buzz": Style(
         Popularity(0.12, 1.2, (0.8, 0.8, 1.8)), combed_from_whorl, (0.005, 0.011), **_CLIPPED,
     ),
     "crew_cut": Style(
-        Popularity(0.05, 1.3, (1.0, 1.0, 1.0)), combed_from_whorl, (0.014, 0.026), sides=0.35,
+        Popularity(0.05, 1.3), combed_from_whorl, (0.014, 0.026), sides=0.35,
         fade=_LOW_FADE, **{**_SHORT, "lift": 0.75, "volume": 0.0, "count": 40000},
     ),
     "fade": Style(
@@ -224,8 +225,8 @@ STYLES: dict[str, Style] = {
     ),
     "layered": Style(
         Popularity(1.0, 0.25, (0.8, 1.3, 0.2)),
-        combed_loosely, length=(0.2, 0.34), sides=0.8, wave=(0.006, 0.09), tousle=0.4,
-        **{k: v for k, v in _FALLING.items() if k not in ("length", "parted")},
+        combed_loosely, sides=0.8, wave=(0.006, 0.09), tousle=0.4,
+        **{**_FALLING, "length": (0.2, 0.34), "parted": False},
     ),
     "long_straight": Style(
         Popularity(1.7, 0.2, (1.4, 0.4, 0.2), _RARER_WITH_AGE),

@@ -15,7 +15,7 @@ def colouring(
     grey: np.ndarray | float,
     count: int,
     rng: np.random.Generator,
-    roughness: float = 0.3,
+    roughness: float,
 ) -> dict[str, Any]:
     """Shading inputs of `count` strands.
 

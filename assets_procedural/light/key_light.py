@@ -29,12 +29,12 @@ _GLARE, _NIGHT = 2.0, 0.06
 
 @dataclass(frozen=True)
 class Survey:
-    """What a panorama is turned by."""
+    """What decides how a panorama is turned."""
 
     key: float
     """Azimuth that most light comes from."""
     luminance: np.ndarray
-    """(32, 64) mean radiance."""
+    """(32, 64) mean luminance."""
 
 
 def sample_key(rng: np.random.Generator) -> float:
@@ -45,7 +45,8 @@ def sample_key(rng: np.random.Generator) -> float:
 
 
 def survey(panorama: np.ndarray) -> Survey:
-    """Of a panorama (H, 2H, 3), H >= 32: the light's mean direction, weighted by its luminance."""
+    """Survey a panorama (H, 2H, 3), H >= 32; its key is the mean direction of its light, weighted
+    by luminance."""
     light = panorama @ LUMINANCE
     height = len(light)
     towards = (light * texel_solid_angles(height)[:, None])[..., None] * texel_directions(height)

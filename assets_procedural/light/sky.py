@@ -13,6 +13,7 @@ from functools import lru_cache
 import numpy as np
 from pydantic import Field
 
+from assets_procedural.conventions.colour import LUMINANCE
 from assets_procedural.conventions.panorama import texel_directions, texel_solid_angles
 from assets_procedural.mesh.vectors import arctan2
 from assets_procedural.settings import Settings
@@ -23,6 +24,7 @@ _RAYLEIGH = np.array([5.8e-3, 13.5e-3, 33.1e-3])  # 1/km at the ground, scale he
 _MIE = 4.0e-3  # 1/km at turbidity 2, scale height 1.2 km
 _OZONE = np.array([0.65e-3, 1.881e-3, 0.085e-3])  # 1/km at 25 km
 _MIE_G = 0.76
+_ADAPTATION = 0.7  # of a camera's white balance; 1 would make the mean of every scene grey
 _HIGHER_ORDERS = 0.35  # of the single scattering source, isotropic
 
 Colour = tuple[float, float, float]
@@ -115,7 +117,19 @@ def sky(parameters: SkyParameters, height: int = 512) -> np.ndarray:
     radiance = clear * (1.0 - covered[..., None]) + bright * covered[..., None]
     ambient = np.einsum("hwc,hw->c", radiance, up * solid)
     radiance = _add_sun(radiance, direction, sun, sun_colour * through, solid)
-    return _add_land(radiance, direction, sun, sun_colour * through, ambient, rng, p)
+    radiance = _add_land(radiance, direction, sun, sun_colour * through, ambient, rng, p)
+    return _white_balanced(radiance, solid)
+
+
+def _white_balanced(radiance: np.ndarray, solid: np.ndarray) -> np.ndarray:
+    """Radiance as a camera records it that has adapted, as most do, to the colour of the light.
+
+    Without it a dusk is pink all over. The luminance of the mean stays as it was.
+    """
+    mean = np.einsum("hwc,hw->c", radiance, solid)
+    gain = (mean @ LUMINANCE / mean) ** _ADAPTATION
+    gain *= (mean @ LUMINANCE) / (mean * gain @ LUMINANCE)
+    return radiance * gain.astype(radiance.dtype)
 
 
 def _ray(origin_height: float, sine: np.ndarray, steps: int) -> tuple[np.ndarray, np.ndarray]:

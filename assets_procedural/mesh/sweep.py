@@ -1,4 +1,4 @@
-"""Swept and revolved surfaces: rims, temples, hoops."""
+"""Swept surfaces, ellipsoids, tubes and sheets with two sides: rims, pearls, brims."""
 
 from __future__ import annotations
 

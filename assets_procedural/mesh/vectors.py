@@ -1,4 +1,4 @@
-"""Small shading-language functions on arrays: unit vectors, steps, angles, rigid motions."""
+"""Small shading-language functions on arrays: unit vectors, ways, steps, angles, motions."""
 
 from __future__ import annotations
 
@@ -10,6 +10,16 @@ import numpy as np
 def unit(vectors: np.ndarray) -> np.ndarray:
     """Vectors (..., 3) at unit length; zero vectors stay zero."""
     return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)
+
+
+def across(vectors: np.ndarray, axes: np.ndarray) -> np.ndarray:
+    """Unit vectors along what is at right angles to unit `axes` of vectors, (..., 3) both."""
+    return unit(vectors - axes * (vectors * axes).sum(-1, keepdims=True))
+
+
+def way_along(points: np.ndarray) -> np.ndarray:
+    """(N,) length of the way from the first of N points to each, straight between them."""
+    return np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
 
 
 def smoothstep(low: Any, high: Any, value: Any) -> Any:

@@ -157,8 +157,8 @@ def blend(*parts: tuple[float, Actions]) -> Actions:
     return total
 
 
-def draw_mood(rng: np.random.Generator, weights: dict[str, float]) -> tuple[str, Actions]:
-    """A mood by its weight, and what the face does: that mood, or mixed with a second one."""
+def draw_mood(rng: np.random.Generator, weights: dict[str, float]) -> Actions:
+    """What the face does: a mood by its weight, alone or mixed with a second one."""
     names = tuple(weights)
     chance = np.array([weights[name] for name in names])
     first, second = (names[k] for k in rng.choice(len(names), size=2, p=chance / chance.sum()))
@@ -169,11 +169,11 @@ def draw_mood(rng: np.random.Generator, weights: dict[str, float]) -> tuple[str,
     )
     kind = rng.random()
     if kind < 0.6:
-        return first, dict(one)
+        return dict(one)
     if kind < 0.9:
         share = float(rng.uniform(0.2, 0.45))
-        return first, blend((1.0 - share, one), (share, other))
-    return first, blend((1.0, without_mouth(one)), (1.0, mouth_only(other)))
+        return blend((1.0 - share, one), (share, other))
+    return blend((1.0, without_mouth(one)), (1.0, mouth_only(other)))
 
 
 def draw_rest(rng: np.random.Generator) -> Actions:

@@ -199,10 +199,9 @@ def sample_pose(
 
 def draw_actions(rng: np.random.Generator, settings: PoseSettings) -> Actions:
     """What the face does at a moment: its tension at rest, a mood, perhaps a sound."""
-    actions = blend((min(1.0, settings.expression), draw_rest(rng)))
+    actions = at_rest(rng, settings)
     if rng.random() >= settings.neutral:
-        _, mood = draw_mood(rng, settings.mood_weights())
-        actions = blend((0.5, actions), (settings.expression * draw_strength(rng), mood))
+        actions = in_mood(rng, settings, actions)
     if rng.random() < settings.talking:
         viseme = VISEMES[str(rng.choice(list(VISEMES)))]
         # The mood's own mouth stays recognisable.
@@ -214,9 +213,16 @@ def draw_actions(rng: np.random.Generator, settings: PoseSettings) -> Actions:
     return actions
 
 
-def draw_strength(rng: np.random.Generator) -> float:
-    """How much of a mood shows, about 1."""
-    return float(0.45 + 1.05 * rng.beta(1.8, 1.5))
+def at_rest(rng: np.random.Generator, settings: PoseSettings) -> Actions:
+    """Draw what a relaxed face does."""
+    return blend((min(1.0, settings.expression), draw_rest(rng)))
+
+
+def in_mood(rng: np.random.Generator, settings: PoseSettings, rest: Actions) -> Actions:
+    """Draw what a face at `rest` does in a mood, which shows at about its full strength."""
+    mood = draw_mood(rng, settings.mood_weights())
+    strength = float(0.45 + 1.05 * rng.beta(1.8, 1.5))
+    return blend((0.5, rest), (settings.expression * strength, mood))
 
 
 def draw_bias(rng: np.random.Generator) -> dict[str, float]:

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import numpy as np
 
+from assets_procedural.mesh.vectors import smoothstep
 from assets_procedural.motion.expressions import (
     CONSONANTS,
+    MOODS,
     VISEMES,
     VOWELS,
     Actions,
     blend,
-    draw_mood,
-    draw_rest,
     resolve,
 )
 from assets_procedural.motion.gaze import (
@@ -27,13 +27,15 @@ from assets_procedural.motion.gaze import (
 )
 from assets_procedural.motion.poses import (
     ARKIT_NAMES,
+    Mood,
     Pose,
     PoseSettings,
     as_pose,
+    at_rest,
     close_eyes,
     draw_bias,
     draw_head,
-    draw_strength,
+    in_mood,
 )
 
 # Seconds: lids shut, stay and open again.
@@ -67,6 +69,29 @@ def sample_track(
     for k in range(frames):
         close_eyes(expression[k], lids[k])
         poses.append(as_pose(expression[k], gaze[k], head[k]))
+    return tuple(poses)
+
+
+def named_moods(
+    rng: np.random.Generator,
+    moods: tuple[Mood, ...],
+    frames: int,
+    settings: PoseSettings,
+    lens: np.ndarray | None = None,
+) -> tuple[Pose, ...]:
+    """`frames` poses that show `moods` in turn, each whole, on one person, whose habits they keep.
+
+    Heads turn as `settings` say; eyes look into the lens (as in `sample_pose`) where they can.
+    """
+    bias, rest, bounds = draw_bias(rng), at_rest(rng, settings), settings.gaze_bounds()
+    poses = []
+    for k in range(frames):
+        actions = blend((0.5, rest), (1.0, MOODS[moods[k % len(moods)]]))
+        head, gaze = draw_head(rng, settings), np.zeros(2)
+        if lens is not None:
+            head = turn_towards(lens, head, bounds, settings.head_ranges())
+            gaze = np.clip(aim(lens, head), bounds[:, 0], bounds[:, 1])
+        poses.append(as_pose(resolve(actions, ARKIT_NAMES, bias), gaze, head))
     return tuple(poses)
 
 
@@ -115,15 +140,14 @@ def _expression_track(
     starts = _event_times(rng, time[-1], 0.5, 1.2)
     starts = np.append(starts, starts[-1] + 1.0)
     actions: list[Actions] = []
-    rest = blend((min(1.0, settings.expression), draw_rest(rng)))
+    rest = at_rest(rng, settings)
     for _ in starts:
         if rng.random() < settings.neutral:
             actions.append(rest)
         elif actions and rng.random() < 0.3:  # the same expression, stronger or weaker
             actions.append(blend((float(rng.uniform(0.5, 1.2)), actions[-1])))
         else:
-            _, mood = draw_mood(rng, settings.mood_weights())
-            actions.append(blend((0.5, rest), (settings.expression * draw_strength(rng), mood)))
+            actions.append(in_mood(rng, settings, rest))
     keys = np.array([resolve(a, ARKIT_NAMES, bias) for a in actions])
     expression = _ease(time, starts, keys, 0.8)
     if rng.random() < settings.talking:
@@ -188,9 +212,8 @@ def _blink_track(rng: np.random.Generator, time: np.ndarray) -> np.ndarray:
     lids = np.zeros(len(time))
     for start in _event_times(rng, time[-1], 1.2, 4.8):
         depth = 1.0 if rng.random() < 0.8 else float(rng.uniform(0.5, 0.9))
-        shut = np.clip((time - start) / _SHUT, 0.0, 1.0)
-        opened = np.clip((time - start - _SHUT - _STAY) / _OPEN, 0.0, 1.0)
-        shut, opened = (t**2 * (3.0 - 2.0 * t) for t in (shut, opened))
+        shut = smoothstep(0.0, _SHUT, time - start)
+        opened = smoothstep(0.0, _OPEN, time - start - _SHUT - _STAY)
         lids = np.maximum(lids, depth * np.minimum(shut, 1.0 - opened))
     return lids
 

@@ -155,9 +155,9 @@ def smoothing(faces: np.ndarray, count: int) -> sparse.csr_matrix:
         rows = np.concatenate([rows, loop, loop])
         columns = np.concatenate([columns, np.roll(loop, 1), np.roll(loop, -1)])
     adjacency = sparse.csr_matrix((np.ones(len(rows)), (rows, columns)), (count, count))
-    degree = np.maximum(np.asarray(adjacency.sum(axis=1)).ravel(), 1)
-    share = np.where(np.asarray(adjacency.sum(axis=1)).ravel() > 0, 0.5, 0.0)
-    step = sparse.diags(1 - share) + sparse.diags(share / degree) @ adjacency
+    degree = np.asarray(adjacency.sum(axis=1)).ravel()
+    share = np.where(degree > 0, 0.5, 0.0)
+    step = sparse.diags(1 - share) + sparse.diags(share / np.maximum(degree, 1)) @ adjacency
     return sparse.csr_matrix(step)
 
 
@@ -184,7 +184,7 @@ def drape(
 
 
 def smooth_ring(ring: np.ndarray, steps: int) -> np.ndarray:
-    """Smooth a closed polyline (N, 3) by its neighbours' mean, `steps` times."""
+    """Smooth a closed row of points (N, ..., 3) by its neighbours' mean, `steps` times."""
     for _ in range(steps):
         ring = 0.5 * ring + 0.25 * (np.roll(ring, 1, axis=0) + np.roll(ring, -1, axis=0))
     return ring

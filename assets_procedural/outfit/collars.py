@@ -14,7 +14,8 @@ from scipy.interpolate import PchipInterpolator
 from assets_procedural.body.head import Identity
 from assets_procedural.body.piece import MeshPiece
 from assets_procedural.mesh.sweep import joined, rounded, shell, sweep
-from assets_procedural.mesh.vectors import smoothstep, unit
+from assets_procedural.mesh.vectors import smoothstep, unit, way_along
+from assets_procedural.outfit.cloth import smooth_ring
 from assets_procedural.outfit.garment import Garment, Patchwork, bone_weights, clear_of
 
 _STATIONS = 73
@@ -23,8 +24,9 @@ _ACROSS = 15
 
 @dataclass(frozen=True)
 class _Collar:
-    """Cross-sections at the throat and at the nape; `spread` turns the fall's ends aside, `meet` is
-    how far (mm) both ends go on towards each other."""
+    """Cross-sections at the throat and at the nape (mm outwards and upwards from the edge), and the
+    cloth's `thickness` in metres; `spread` is how far the fall's ends turn aside for its depth,
+    `wrinkle` how unevenly it lies, in steps of half a millimetre."""
 
     throat: tuple[tuple[float, float], ...]
     nape: tuple[tuple[float, float], ...]
@@ -104,7 +106,7 @@ def collar(garment: Garment, identity: Identity, parameters: dict, seed: int) ->
         grid[:, falls] = lower.reshape(len(base), -1, 3)
     grid = _relaxed(grid, name == "roll")
     points, faces = shell(grid, shape.thickness, closed=name == "roll")
-    length = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(base, axis=0), axis=1))])
+    length = way_along(base)
     width = np.linalg.norm(np.diff(grid, axis=1), axis=2).mean(axis=0).cumsum()
     u, v = np.meshgrid(length, np.concatenate([[0], width]), indexing="ij")
     uv = np.tile(np.stack([u, v], axis=-1).reshape(-1, 2), (2, 1))
@@ -160,18 +162,17 @@ def _track(
 def _spaced(section: tuple[tuple[float, float], ...], along: np.ndarray) -> np.ndarray:
     """A cross-section (K, 2) at equal steps of its own length."""
     knots = np.array(section, float)
-    steps = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(knots, axis=0), axis=1))])
+    steps = way_along(knots)
     return PchipInterpolator(steps / steps[-1], knots)(along)
 
 
 def _relaxed(grid: np.ndarray, closed: bool) -> np.ndarray:
     """Smooth what collisions left, along the edge only."""
+    if closed:
+        return smooth_ring(grid, 3)
     for _ in range(3):
-        if closed:
-            grid = 0.5 * grid + 0.25 * (np.roll(grid, 1, 0) + np.roll(grid, -1, 0))
-        else:
-            grid = grid.copy()
-            grid[1:-1] = 0.5 * grid[1:-1] + 0.25 * (grid[2:] + grid[:-2])
+        grid = grid.copy()
+        grid[1:-1] = 0.5 * grid[1:-1] + 0.25 * (grid[2:] + grid[:-2])
     return grid
 
 

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from assets_procedural.mesh.vectors import arctan2, smoothstep
+from assets_procedural.person import Hat, Jacket, Scarf, Top
 
 
 @dataclass(frozen=True)
@@ -38,6 +40,17 @@ FABRICS: dict[str, Fabric] = {
     "suiting": Fabric(0.009, 0.0031, 1.6, 0.0018, "twill", 0.85),
 }
 """Fabrics by name."""
+
+
+def cloth_look(worn: Top | Jacket | Scarf | Hat, weave: str, roughness: float) -> dict[str, Any]:
+    """The `parameters` of a piece of "cloth"."""
+    return {
+        "colour": worn.colour,
+        "accent": worn.accent,
+        "pattern": worn.pattern,
+        "weave": weave,
+        "roughness": roughness,
+    }
 
 
 def folds(p: np.ndarray, crisp: float, rng: np.random.Generator) -> np.ndarray:

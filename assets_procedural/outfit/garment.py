@@ -29,7 +29,7 @@ from assets_procedural.outfit.necklines import Outline
 
 # How far sleeves and the waist go on below the bust, metres: out of every default frame.
 _REACH = 0.30
-# The band's seam, and a bar tack's width, are cut into the mesh as a step this wide, metres.
+# The seam below a band: the step down to the cloth ends this far beyond the band, metres.
 _STEP = 0.0009
 
 
@@ -80,7 +80,7 @@ class Patchwork:
     ) -> int:
         """Append N vertices; returns the first one's index. `seams` as in `seam_distances`."""
         start = self._count
-        seams = np.ones((len(points), 3)) if seams is None else seams
+        seams = no_seams(points) if seams is None else seams
         self._parts.append((points, weights, uv, seams))
         self._count += len(points)
         return start
@@ -114,13 +114,8 @@ class Garment:
     ):
         cut = _cut(identity.model, outline)
         sheet = cut.sheet
-        self.outline, self.fabric, self.average, self.faces = (
-            outline,
-            fabric,
-            cut.average,
-            sheet.faces,
-        )
-        self.weights = cut.weights
+        self.outline, self.fabric = outline, fabric
+        self.average, self.weights, self.faces = cut.average, cut.weights, sheet.faces
         skin = sheet.matrix @ identity.rest
         inside = np.clip(sheet.field / 0.05, 0, 1)
         least = 0.0022 + under + 0.6 * fabric.slack * inside
@@ -248,7 +243,8 @@ class Garment:
 def seam_distances(average: np.ndarray) -> np.ndarray:
     """(N, 3) signed distances in metres to the armhole, the shoulder seam and the front's middle.
 
-    Where a seam does not run they are 1. `average` (N, 3) are places on the average person.
+    To the shoulder seam in depth, to the others across the body. Away from the shoulders and from
+    the front theirs are 1. `average` (N, 3) are places on the average person.
     """
     x, y, z = np.abs(average[:, 0]), average[:, 1], average[:, 2]
     armhole = x - (
@@ -257,6 +253,11 @@ def seam_distances(average: np.ndarray) -> np.ndarray:
     shoulder = np.where((z > 0.47) & (x < 0.168), y + 0.004, 1.0)
     front = np.where((y < -0.03) & (z < 0.53), average[:, 0], 1.0)
     return np.stack([armhole, shoulder, front], axis=1)
+
+
+def no_seams(points: np.ndarray) -> np.ndarray:
+    """`seam_distances` of N points on cloth without a seam."""
+    return np.ones((len(points), 3))
 
 
 def bone_weights(identity: Identity, points: np.ndarray) -> np.ndarray:

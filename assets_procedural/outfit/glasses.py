@@ -12,6 +12,7 @@ from assets_procedural.body.piece import MeshPiece, rigid
 from assets_procedural.body.regions import mirror
 from assets_procedural.conventions.parts import Part
 from assets_procedural.mesh.sweep import ellipsoid, joined, rounded, sweep, tube_faces
+from assets_procedural.mesh.vectors import way_along
 from assets_procedural.person import Glasses
 
 _OUTLINE = 96
@@ -139,7 +140,6 @@ class _Fit:
         inside = _within(skin[near], self, shape)
         if len(inside):
             self.front -= max(0.0, float(inside.max()))
-        self.centre_x = self.middle[0]
 
     def place(self, x: np.ndarray, z: np.ndarray, forward: np.ndarray | float = 0.0) -> np.ndarray:
         """Millimetres on the front (x from the midline, z from the pupils) → rest (N, 3)."""
@@ -265,7 +265,7 @@ def _temple(
     tip = over + np.array([-side * 5.5e-3, 0.021, -0.028])
     corner = end_piece + np.array([0, 0.008, 0])
     stops = np.stack([rim, end_piece, corner, over, behind, tip])
-    length = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(stops, axis=0), axis=1))])
+    length = way_along(stops)
     path = PchipInterpolator(length, stops)(np.linspace(0, length[-1], 60))
 
     # Keep clear of the skin on the way to the ear.

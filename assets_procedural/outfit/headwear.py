@@ -1,7 +1,7 @@
 """Headwear: what is cut from the scalp and draped over it (beanies, cap, turban, bandana), and
 where every hat ends.
 
-As in `tops`, the cut is a level set over the average person at rest; `field > 0` is hat.
+As in `necklines`, the cut is a level set over the average person at rest; `field > 0` is hat.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from assets_procedural.body.piece import MeshPiece, rigid
 from assets_procedural.conventions.parts import Part
 from assets_procedural.mesh.sweep import ellipsoid
 from assets_procedural.mesh.vectors import arctan2
+from assets_procedural.outfit.brimmed_hats import BRIMMED, brimmed
 from assets_procedural.outfit.cloth import (
     Sheet,
     average_person,
@@ -26,14 +27,14 @@ from assets_procedural.outfit.cloth import (
     ring_strip,
     smooth_ring,
 )
-from assets_procedural.outfit.hats import BRIMMED, brimmed
+from assets_procedural.outfit.fabrics import cloth_look
+from assets_procedural.outfit.garment import no_seams
 from assets_procedural.outfit.scarves import headscarf
 from assets_procedural.person import Hat
 
-# Height of the hat's edge (m, average person) over depth y: forehead, above the ears, nape.
 _CAP = ((-0.150, 0.757), (-0.100, 0.741), (-0.045, 0.727), (0.0, 0.716), (0.08, 0.708))
 _BEANIE = ((-0.150, 0.752), (-0.100, 0.731), (-0.045, 0.713), (0.0, 0.700), (0.08, 0.692))
-_EDGES = {
+EDGES = {
     "beanie": _BEANIE,
     "bobble": _BEANIE,
     "cap": _CAP,
@@ -43,6 +44,8 @@ _EDGES = {
     "turban": ((-0.150, 0.768), (-0.100, 0.742), (-0.045, 0.716), (0.0, 0.700), (0.08, 0.688)),
     "bandana": ((-0.150, 0.764), (-0.100, 0.745), (-0.045, 0.728), (0.0, 0.712), (0.08, 0.700)),
 }
+"""Style → depth y and height of the hat's edge on the average person, metres: from the forehead
+over the ears to the nape. Headscarves have none."""
 _WEAVES = {
     "beanie": "rib",
     "bobble": "knit",
@@ -117,13 +120,7 @@ def _draped(wearing: Hat, identity: Identity) -> list[MeshPiece]:
     loop = max(border_loops(sheet.faces), key=len)
     points, faces = _hemmed(points, sheet.faces, loop, normals, thick)
     field = np.concatenate([field, np.zeros(len(points) - len(field))])
-    parameters = {
-        "colour": wearing.colour,
-        "accent": wearing.accent,
-        "pattern": wearing.pattern,
-        "weave": _WEAVES[style],
-        "roughness": 0.9,
-    }
+    parameters = cloth_look(wearing, _WEAVES[style], 0.9)
     parts = [("hat", points, faces, _around(points, field))]
     top = points[np.argmax(field)]
     if style == "cap":
@@ -148,7 +145,7 @@ def _draped(wearing: Hat, identity: Identity) -> list[MeshPiece]:
             rigid("head", part),
             {**parameters, "weave": "pile"} if name == "hat_bobble" else parameters,
             uv[quads],
-            {"seams": np.ones((len(part), 3))},
+            {"seams": no_seams(part)},
         )
         for name, part, quads, uv in parts
     ]
@@ -186,7 +183,7 @@ def above_rim(points: np.ndarray, wearing: Hat, identity: Identity) -> np.ndarra
 
 
 def _field(p: np.ndarray, style: str) -> np.ndarray:
-    depth, height = np.array(_EDGES[style]).T
+    depth, height = np.array(EDGES[style]).T
     slope = 0.3
     return (p[:, 2] - np.interp(p[:, 1], depth, height)) / np.hypot(1, slope)
 

@@ -14,15 +14,20 @@ from assets_procedural.body.regions import mirror
 from assets_procedural.conventions.parts import Part
 from assets_procedural.mesh.sweep import ellipsoid, joined, rounded, sweep, tube_faces
 from assets_procedural.mesh.vectors import unit
-from assets_procedural.outfit.cloth import average_person, border_loops, cut_from_skin
+from assets_procedural.outfit.cloth import (
+    average_person,
+    border_loops,
+    cut_from_skin,
+    smooth_ring,
+)
 from assets_procedural.outfit.necklines import Outline
 from assets_procedural.person import Earrings, Necklace
 
 # Outer side of the left ear lobe, in the numbering of MakeHuman's base mesh.
 _LOBE = (12041, 12019)
-# Stations along a necklace; links of a chain, pearls of a string.
+# Stations along a necklace; length of a chain's link and radius of a string's pearl, metres.
 _STATIONS = 360
-_PEARL = 0.0036
+_LINK, _PEARL = 0.0060, 0.0036
 
 
 def earrings(wearing: Earrings, identity: Identity) -> list[MeshPiece]:
@@ -110,7 +115,7 @@ def necklace(wearing: Necklace, identity: Identity) -> list[MeshPiece]:
     rest = track @ identity.rest
     length = np.linalg.norm(np.roll(rest, -1, axis=0) - rest, axis=1).sum()
     beads = wearing.style == "beads"
-    phase = np.arange(_STATIONS) / _STATIONS * (length / (2 * _PEARL if beads else 0.0060))
+    phase = np.arange(_STATIONS) / _STATIONS * (length / (2 * _PEARL if beads else _LINK))
     phase = phase * np.round(phase[-1]) / max(phase[-1], 1e-9)
     if beads:
         radius = _PEARL * np.sqrt(np.maximum(1 - (2 * (phase % 1) - 1) ** 2, 0.02))
@@ -127,8 +132,7 @@ def necklace(wearing: Necklace, identity: Identity) -> list[MeshPiece]:
     def place(bust: Bust) -> np.ndarray:
         path = track @ bust.vertices
         out = unit(track @ bust.normals)
-        for _ in range(8):  # a chain spans the hollows
-            path = 0.5 * path + 0.25 * (np.roll(path, 1, axis=0) + np.roll(path, -1, axis=0))
+        path = smooth_ring(path, 8)  # a chain spans the hollows
         path = path + (radius.mean() + 0.0010) * out
         tangent = unit(np.roll(path, -1, axis=0) - np.roll(path, 1, axis=0))
         side = unit(np.cross(tangent, out))

@@ -13,13 +13,11 @@ from assets_procedural.conventions.parts import Part
 from assets_procedural.mesh.sweep import joined, shell, tube_faces
 from assets_procedural.mesh.vectors import arctan2, smoothstep
 from assets_procedural.outfit.cloth import Sheet, border_loops, ring_strip
-from assets_procedural.outfit.fabrics import FABRICS
-from assets_procedural.outfit.garment import bone_weights
+from assets_procedural.outfit.fabrics import FABRICS, cloth_look
+from assets_procedural.outfit.garment import bone_weights, no_seams
 from assets_procedural.person import Hat, Scarf
 
 _AROUND = 96
-# Heights of the template where a headscarf's rows end: crown's centre, and on the shoulders.
-_SKULL, _HEM = 0.72, 0.475
 
 
 def _neck_reach(
@@ -103,12 +101,9 @@ def scarf(wearing: Scarf, identity: Identity) -> list[MeshPiece]:
     textures.append(parts[-1][0][:, [0, 2]])
     points, faces = joined(parts)
     uv = np.concatenate(textures)[faces]
-    look = {
-        "colour": wearing.colour, "accent": wearing.accent, "pattern": wearing.pattern,
-        "weave": FABRICS[wearing.fabric].weave, "roughness": 0.9,
-    }  # fmt: skip
+    look = cloth_look(wearing, FABRICS[wearing.fabric].weave, 0.9)
     place = skinned(points, bone_weights(identity, points))
-    vertex = {"seams": np.ones((len(points), 3))}
+    vertex = {"seams": no_seams(points)}
     return [MeshPiece("scarf", Part.CLOTHING, faces, "cloth", place, look, uv, vertex)]
 
 
@@ -201,7 +196,7 @@ def headscarf(wearing: Hat, identity: Identity) -> list[MeshPiece]:
     width = np.abs(face[(np.abs(face[:, 2] - middle[2]) < 0.01)
                         & (face[:, 1] < middle[1] + 0.04)][:, 0]).max() - 0.002  # fmt: skip
     level, half = (low + high) / 2, (high - low) / 2
-    oval = np.hypot(points[:, 0] / width, (points[:, 2] - level) / half) ** 1.0 - 1
+    oval = np.hypot(points[:, 0] / width, (points[:, 2] - level) / half) - 1
     field = np.where(points[:, 1] < centre[1] - 0.01, oval * 0.07, 0.07)
     unity = sparse.csr_matrix(sparse.identity(len(points)))
     sheet = Sheet(unity, faces, field).cut(0.0)
@@ -221,18 +216,15 @@ def headscarf(wearing: Hat, identity: Identity) -> list[MeshPiece]:
     weights = bone_weights(identity, cloth)
     for _ in range(10):
         weights = sheet.smoothing @ weights
-    inner = cloth - (0.0022) * normals
+    inner = cloth - 0.0022 * normals
     points = np.concatenate([cloth, inner])
     strips = [ring_strip(loop, loop + len(cloth)) for loop in border_loops(sheet.faces)]
     faces = np.concatenate([sheet.faces, sheet.faces[:, ::-1] + len(cloth), *strips])
     uv = np.stack([arctan2(points[:, 0], -(points[:, 1] - centre[1])) * 0.09, points[:, 2]], axis=1)
-    look = {
-        "colour": wearing.colour, "accent": wearing.accent, "pattern": wearing.pattern,
-        "weave": "poplin", "roughness": 0.8,
-    }  # fmt: skip
+    look = cloth_look(wearing, "poplin", 0.8)
     faces = faces.astype(np.int32)
     place = skinned(points, np.tile(weights, (2, 1)))
-    vertex = {"seams": np.ones((len(points), 3))}
+    vertex = {"seams": no_seams(points)}
     return [MeshPiece("headscarf", Part.HEADWEAR, faces, "cloth", place, look, uv[faces], vertex)]
 
 

@@ -2,30 +2,33 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
+
 import numpy as np
 
 from assets_procedural.body.head import Identity
 from assets_procedural.body.piece import MeshPiece
-from assets_procedural.conventions.parts import Part
 from assets_procedural.mesh.sweep import ellipsoid, joined
 from assets_procedural.mesh.vectors import smoothstep, unit
 from assets_procedural.outfit.cloth import average_person
 from assets_procedural.outfit.collars import collar
-from assets_procedural.outfit.fabrics import FABRICS
+from assets_procedural.outfit.fabrics import FABRICS, cloth_look
 from assets_procedural.outfit.garment import Garment, Patchwork
-from assets_procedural.outfit.necklines import JACKETS, NECKLINES
+from assets_procedural.outfit.necklines import JACKETS, NECKLINES, Outline
 from assets_procedural.person import Jacket, Person, Top
 
 # Skin farther than this inside the garment (metres) can never be seen.
 _HIDDEN_MARGIN = 0.022
-# How high a jacket lies over the skin, clear of a thin top whose folds it presses flat (metres).
+# How high a jacket lies over the skin beyond the slack and thickness of the top, whose folds it
+# presses flat (metres).
 _UNDER_JACKET = 0.008
 
 
 def wardrobe(person: Person, identity: Identity) -> list[MeshPiece]:
     """The top and the jacket that a person wears: bodies, bands, collars, plackets and buttons.
 
-    Material "cloth" ("metal" or "plastic" for buttons); `parameters` hold colour and accent (linear
+    Material "cloth" ("plastic" for buttons); `parameters` hold colour and accent (linear
     Rec.709), pattern, weave and roughness. `uv` are metres along the cloth: u across and v upwards,
     or along and across the band.
 
@@ -35,18 +38,21 @@ def wardrobe(person: Person, identity: Identity) -> list[MeshPiece]:
     top, jacket = person.top, person.jacket
     fabric = FABRICS[top.fabric]
     rng = np.random.default_rng(top.seed)
-    if jacket is None:
-        garment = Garment(identity, NECKLINES[top.neckline], fabric, rng)
-    else:
-        over = JACKETS[jacket.style]
-        garment = Garment(
-            identity, NECKLINES[top.neckline], fabric, rng,
-            calm=lambda p: 0.15 + 0.85 * smoothstep(0.02, -0.03, over.field(p)),
-        )  # fmt: skip
+    calm = None if jacket is None else _pressed_by(JACKETS[jacket.style])
+    garment = Garment(identity, NECKLINES[top.neckline], fabric, rng, calm=calm)
     pieces = _dressed(garment, identity, top)
     if jacket is not None:
         pieces += _jacket(jacket, identity, fabric.slack + fabric.thickness)
     return pieces
+
+
+def _pressed_by(jacket: Outline) -> Callable[[np.ndarray], np.ndarray]:
+    """The share of a top's folds that an open jacket leaves, as `Garment` wants it."""
+
+    def calm(average: np.ndarray) -> np.ndarray:
+        return 0.15 + 0.85 * smoothstep(0.02, -0.03, jacket.field(average))
+
+    return calm
 
 
 def covered_skin(person: Person, identity: Identity) -> np.ndarray:
@@ -58,10 +64,7 @@ def covered_skin(person: Person, identity: Identity) -> np.ndarray:
 
 def _look(worn: Top | Jacket, **changes: object) -> dict:
     fabric = FABRICS[worn.fabric]
-    return {
-        "colour": worn.colour, "accent": worn.accent, "pattern": worn.pattern,
-        "weave": fabric.weave, "roughness": fabric.roughness, **changes,
-    }  # fmt: skip
+    return {**cloth_look(worn, fabric.weave, fabric.roughness), **changes}
 
 
 def _dressed(garment: Garment, identity: Identity, top: Top) -> list[MeshPiece]:
@@ -130,9 +133,7 @@ def _buttons(
     patches = Patchwork()
     patches.add(points, np.concatenate(weights), points[:, [0, 2]])
     piece = patches.piece("buttons", faces, {"colour": colour, "roughness": 0.3})
-    return MeshPiece(
-        piece.name, Part.CLOTHING, piece.faces, "plastic", piece.place, piece.parameters
-    )
+    return replace(piece, material="plastic", uv=None, vertex={})
 
 
 def _jacket(jacket: Jacket, identity: Identity, beneath: float) -> list[MeshPiece]:
@@ -150,19 +151,7 @@ def _jacket(jacket: Jacket, identity: Identity, beneath: float) -> list[MeshPiec
         pieces += collar(garment, identity, rib if ribbed else plain, jacket.seed + 1)
     if jacket.style in ("trucker", "biker", "bomber"):
         pieces.append(_edging(garment, plain, jacket.style))
-    return [
-        MeshPiece(
-            f"jacket_{piece.name}",
-            piece.part,
-            piece.faces,
-            piece.material,
-            piece.place,
-            piece.parameters,
-            piece.uv,
-            piece.vertex,
-        )
-        for piece in pieces
-    ]
+    return [replace(piece, name=f"jacket_{piece.name}") for piece in pieces]
 
 
 def _lapels(garment: Garment, look: dict) -> MeshPiece:

@@ -9,7 +9,7 @@ import numpy as np
 from assets_procedural.hair.beard_styles import BEARDS
 from assets_procedural.hair.styles import STYLES
 from assets_procedural.people.ancestry import Heritage
-from assets_procedural.people.choices import Choices
+from assets_procedural.people.choices import Choices, chosen, clipped, draw_seed
 from assets_procedural.person import ADULT, Beard, Brows, Colour, Eyes, Hair, Makeup, Skin
 
 if TYPE_CHECKING:
@@ -34,8 +34,6 @@ _HAIR_MELANIN = {
 }  # fmt: skip
 _IRIS_WEIGHTS_LIGHT = (0.03, 0.2, 0.07, 0.18, 0.12, 0.12, 0.28)
 _IRIS_WEIGHTS_MEDIUM = (0.35, 0.42, 0.06, 0.12, 0.03, 0.01, 0.01)
-
-
 # Linear Rec.709 colours of dyed fibres.
 _DYES: dict[str, Colour] = {
     "blonde": (0.56, 0.40, 0.20),
@@ -48,16 +46,26 @@ _DYES: dict[str, Colour] = {
     "green": (0.05, 0.22, 0.12),
 }
 _BLEACHED_DYES, _VIVID_DYES = tuple(_DYES)[:3], tuple(_DYES)[3:]
-
-
-def clipped(value: float) -> float:
-    """Clip to [0, 1] and round, so that JSON stays short."""
-    return round(min(max(float(value), 0.0), 1.0), 4)
-
-
-def draw_seed(rng: np.random.Generator) -> int:
-    """Draw the seed of a texture or of strands, which is stored with the parameters."""
-    return int(rng.integers(2**31))
+# Linear Rec.709: reds, pinks, browns and nudes; shadows of the lids.
+_LIPSTICKS: tuple[Colour, ...] = (
+    (0.36, 0.022, 0.035), (0.27, 0.02, 0.045), (0.45, 0.09, 0.12), (0.50, 0.16, 0.16),
+    (0.30, 0.085, 0.065), (0.16, 0.018, 0.03), (0.42, 0.15, 0.11),
+)  # fmt: skip
+_LID_SHADOWS: tuple[Colour, ...] = (
+    (0.13, 0.075, 0.055), (0.06, 0.045, 0.045), (0.22, 0.11, 0.09), (0.10, 0.06, 0.09),
+    (0.07, 0.085, 0.11),
+)  # fmt: skip
+# How common each family of brows is: women, men.
+_BROW_STYLES: dict[str, tuple[float, float]] = {
+    "natural": (3.0, 4.0),
+    "flat": (1.2, 1.8),
+    "straight": (1.2, 1.6),
+    "arched": (2.2, 0.5),
+    "rounded": (1.4, 0.5),
+    "bushy": (0.5, 2.2),
+    "sparse": (0.9, 1.0),
+    "thin": (1.4, 0.15),
+}
 
 
 def draw_skin(rng: np.random.Generator, age: float, male: bool, heritage: Heritage) -> Skin:
@@ -80,19 +88,8 @@ def draw_skin(rng: np.random.Generator, age: float, male: bool, heritage: Herita
     )
 
 
-# Linear Rec.709: reds, pinks, browns and nudes; shadows of the lids.
-_LIPSTICKS: tuple[Colour, ...] = (
-    (0.36, 0.022, 0.035), (0.27, 0.02, 0.045), (0.45, 0.09, 0.12), (0.50, 0.16, 0.16),
-    (0.30, 0.085, 0.065), (0.16, 0.018, 0.03), (0.42, 0.15, 0.11),
-)  # fmt: skip
-_LID_SHADOWS: tuple[Colour, ...] = (
-    (0.13, 0.075, 0.055), (0.06, 0.045, 0.045), (0.22, 0.11, 0.09), (0.10, 0.06, 0.09),
-    (0.07, 0.085, 0.11),
-)  # fmt: skip
-
-
 def draw_makeup(rng: np.random.Generator, age: float, male: bool) -> Makeup:
-    """Half of all women wear some, from a little blush to a full evening's; men none."""
+    """Over half of all women wear some, from a little blush to enough for an evening; men none."""
     wanted = rng.random() < 0.55 and not male and age >= ADULT - 2.0
     fullness = rng.beta(1.2, 1.4)
     lips, lids = (int(rng.integers(len(c))) for c in (_LIPSTICKS, _LID_SHADOWS))
@@ -172,7 +169,7 @@ def draw_hair(
 
 
 def _draw_loss(rng: np.random.Generator, age: float, male: bool) -> tuple[float, float]:
-    """How far the hairline has receded and the crown is bare, by age, in men, each to his own."""
+    """How far a man's hairline has receded and how bare his crown is, by age and luck; women 0."""
     degree, crown = rng.random(2)
     if not male:
         return 0.0, 0.0
@@ -222,7 +219,7 @@ def draw_eyes(
     weights = (
         weights + fair * np.array(_IRIS_WEIGHTS_LIGHT) + medium * np.array(_IRIS_WEIGHTS_MEDIUM)
     )
-    name = tuple(_IRISES)[rng.choice(len(_IRISES), p=weights / weights.sum())]
+    name = chosen(rng, dict(zip(_IRISES, weights, strict=True)))
     tone = np.exp(rng.normal(0.0, 0.2)) * np.exp(rng.normal(0.0, 0.08, 3))
     red, green, blue = (
         round(float(c), 4) for c in np.clip(np.array(_IRISES[name]) * tone, 0.008, 0.5)
@@ -237,29 +234,16 @@ def draw_eyes(
     )
 
 
-# How common each family of brows is: women, men.
-_BROW_STYLES: dict[str, tuple[float, float]] = {
-    "natural": (3.0, 4.0),
-    "flat": (1.2, 1.8),
-    "straight": (1.2, 1.6),
-    "arched": (2.2, 0.5),
-    "rounded": (1.4, 0.5),
-    "bushy": (0.5, 2.2),
-    "sparse": (0.9, 1.0),
-    "thin": (1.4, 0.15),
-}
-
-
 def draw_brows(rng: np.random.Generator, age: float, male: bool) -> Brows:
     """A family by sex, then an outline of one's own; thicker for men, thinner with age."""
-    weights = np.array([pair[male] for pair in _BROW_STYLES.values()])
+    styles = {name: pair[male] for name, pair in _BROW_STYLES.items()}
     thin = np.clip((age - 50.0) / 40.0, 0.0, 1.0)
 
     def spread(scale: float) -> float:
         return round(float(np.clip(rng.normal(0.0, scale), -2.4 * scale, 2.4 * scale)), 4)
 
     return Brows(
-        style=tuple(_BROW_STYLES)[rng.choice(len(weights), p=weights / weights.sum())],
+        style=chosen(rng, styles),
         height_mm=spread(1.3),
         slope=spread(0.04),
         arch_mm=spread(1.0),

@@ -1,4 +1,5 @@
-"""Choices of named values for a subject: natural frequencies, a job's weights and its quotas."""
+"""Choices for a subject: of named values, by natural frequencies and a job's weights and quotas; of
+seeds and of whatever has weights."""
 
 from __future__ import annotations
 
@@ -12,7 +13,7 @@ Attribute = Literal[
     "sex", "age_group", "ancestry", "hair_style", "hair_colour", "beard", "glasses", "hat"
 ]  # fmt: skip
 ATTRIBUTES: tuple[Attribute, ...] = get_args(Attribute)
-"""What has named values, in the order in which it is drawn."""
+"""What has named values. The order matters: `spread_points` and quotas go through it."""
 _STEPS = tuple(math.sqrt(n) % 1.0 for n in (2, 3, 5, 7, 11, 13, 17, 19))
 
 Factors = Mapping[Attribute, Mapping[str, float]]
@@ -48,6 +49,22 @@ class Choices:
         index = min(int(np.searchsorted(mass, place, side="right")), len(mass) - 1)
         self.frequencies[attribute] = frequencies
         return list(frequencies)[index]
+
+
+def chosen(rng: np.random.Generator, weights: Mapping[str, float]) -> str:
+    """A key, by relative weights."""
+    names, share = list(weights), np.array(list(weights.values()), float)
+    return names[rng.choice(len(names), p=share / share.sum())]
+
+
+def clipped(value: float) -> float:
+    """Clip to [0, 1] and round, so that JSON stays short."""
+    return round(min(max(float(value), 0.0), 1.0), 4)
+
+
+def draw_seed(rng: np.random.Generator) -> int:
+    """Draw the seed of a texture or of strands, which is stored with the parameters."""
+    return int(rng.integers(2**31))
 
 
 def spread_points(index: int, rng: np.random.Generator) -> dict[str, float]:

@@ -61,7 +61,7 @@ def draw_shape(
             shape["r-" + name[1:]] = _bounded(value - SPREAD[name] * side)
         else:
             shape[name] = _bounded(value)
-    # A face is of one outline or between two: that of the greatest chances.
+    # A face has one outline, or lies between two: those with the highest chances.
     chance = rng.standard_normal(len(OUTLINES))
     for name, value in zip(OUTLINES, chance - np.sort(chance)[-3], strict=True):
         amount = strength * OUTLINES[name] * min(max(float(value), 0.0), 1.8)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from assets_procedural.conventions.colour import srgb_decode
-from assets_procedural.people.appearance_sampling import clipped, draw_seed
+from assets_procedural.people.choices import chosen, clipped, draw_seed
 from assets_procedural.person import (
     Colour,
     Earrings,
@@ -80,12 +80,6 @@ def _linear(colour: str) -> Colour:
     return red, green, blue
 
 
-def _chosen(rng: np.random.Generator, weights: dict[str, float]) -> str:
-    """A key, by relative weights."""
-    names, share = list(weights), np.array(list(weights.values()), float)
-    return str(names[rng.choice(len(names), p=share / share.sum())])
-
-
 def _colours(rng: np.random.Generator, fabric: str) -> tuple[Colour, Colour]:
     """Colour and accent of a garment, two that can be told apart."""
     special = {"denim": _DENIM, "leather": _HIDE, "suiting": _SUIT}.get(fabric)
@@ -131,12 +125,12 @@ def draw_top(rng: np.random.Generator, age: float, male: bool) -> Top:
         "buttoned": 0.6 if male else 0.25, "band": 0.25, "mock": 0.4, "turtleneck": 0.7,
         "hood": 1.2 * young, "quarter_zip": 0.5,
     }  # fmt: skip
-    neckline = _chosen(rng, necklines)
-    fabric = _chosen(rng, _FABRICS[neckline])
-    pattern = _chosen(rng, _PATTERNS.get(fabric, _PATTERNS["jersey"]))
+    neckline = chosen(rng, necklines)
+    fabric = chosen(rng, _FABRICS[neckline])
+    pattern = chosen(rng, _PATTERNS[fabric])
     if pattern == "ringer" and neckline not in ("crew", "loose", "vee", "scoop"):
         pattern = "plain"
-    closure = {"quarter_zip": "zip"}.get(neckline, "none")
+    closure = "zip" if neckline == "quarter_zip" else "none"
     if neckline in ("henley", "polo", "shirt", "buttoned", "band"):
         closure = "buttons"
     colour, accent = _colours(rng, fabric)
@@ -149,21 +143,21 @@ def draw_top(rng: np.random.Generator, age: float, male: bool) -> Top:
 def draw_jacket(rng: np.random.Generator, top: Top, age: float, male: bool) -> Jacket | None:
     """An open layer over the top, or none: what fits over its collar and fabric."""
     worn = rng.random() < 0.3
-    style = _chosen(rng, {
+    style = chosen(rng, {
         "blazer": float(np.interp(age, [18, 35, 70], [0.5, 1.2, 1.2])),
         "cardigan": 0.5 if male else 1.0,
         "trucker": float(np.interp(age, [20, 60], [1.0, 0.4])),
         "biker": float(np.interp(age, [20, 60], [0.7, 0.2])),
         "bomber": float(np.interp(age, [20, 60], [0.9, 0.3])),
     })  # fmt: skip
-    fabric = _chosen(rng, {
+    fabric = chosen(rng, {
         "blazer": {"suiting": 1.0}, "cardigan": {"knit": 0.8, "cable": 0.2},
         "trucker": {"denim": 0.8, "suiting": 0.2}, "biker": {"leather": 1.0},
         "bomber": {"nylon": 0.8, "sweat": 0.2},
     }[style])  # fmt: skip
     pattern = "plain"
     if style == "blazer":
-        pattern = _chosen(rng, {"plain": 0.75, "pinstripe": 0.12, "tartan": 0.05, "heather": 0.08})
+        pattern = chosen(rng, {"plain": 0.75, "pinstripe": 0.12, "tartan": 0.05, "heather": 0.08})
     colour, accent = _colours(rng, fabric)
     seed = draw_seed(rng)
     bulky = top.neckline in ("hood", "quarter_zip", "polo") or top.fabric in (
@@ -192,7 +186,7 @@ def draw_glasses(
     worn = rng.random() < glasses_share(age, probability)
     tinted = bool(rng.random() < sunglasses)
     old = float(np.interp(age, [30.0, 65.0], [0.0, 1.0]))
-    shape = _chosen(rng, {
+    shape = chosen(rng, {
         "rectangle": 1.0 + 0.8 * old, "round": 0.9 - 0.4 * old, "oval": 0.4 + 0.4 * old,
         "wayfarer": 1.0 - 0.5 * old, "cat_eye": 0.04 if male else 0.7, "browline": 0.4,
         "rimless": 0.0 if tinted else 0.25 + 0.5 * old, "hexagon": 0.35 - 0.2 * old,
@@ -223,7 +217,7 @@ def draw_earrings(
     share = 1.0 if age >= 16.0 else 1.0 / 3.0
     worn = rng.random() < probability * share * (1.0 / 7.0 if male else 1.0)
     kinds = {"stud": 0.7, "hoop": 0.3} if male else {"stud": 0.45, "hoop": 0.33, "drop": 0.22}
-    shape = _chosen(rng, kinds)
+    shape = chosen(rng, kinds)
     size = {
         "stud": rng.uniform(3.0, 6.5),
         "hoop": np.exp(rng.uniform(np.log(11.0), np.log(20.0 if male else 40.0))),
@@ -238,7 +232,7 @@ def draw_earrings(
 def draw_necklace(rng: np.random.Generator, top: Top, male: bool) -> Necklace | None:
     """A necklace where the neckline leaves room for one, or none."""
     worn = rng.random() < (0.1 if male else 0.45)
-    style = _chosen(rng, {"chain": 2.0} if male else {"chain": 1.0, "pendant": 1.2, "beads": 0.35})
+    style = chosen(rng, {"chain": 2.0} if male else {"chain": 1.0, "pendant": 1.2, "beads": 0.35})
     low = {"scoop": 1.0, "boat": 0.5, "vee": 0.8, "loose": 0.35, "shirt": 0.6}.get(top.neckline)
     drop = clipped(rng.uniform(0.1, 1.0) * (low or 0.0))
     metal = _METALS[rng.integers(len(_METALS))]
@@ -256,7 +250,7 @@ def draw_hat(rng: np.random.Generator, age: float, male: bool, hair_fits: bool) 
         "fedora": 0.5, "sun_hat": 0.1 if male else 0.5, "turban": 0.3, "bandana": 0.35,
         "headscarf": 0.0 if male else 1.1,
     }  # fmt: skip
-    style = _chosen(rng, styles)
+    style = chosen(rng, styles)
     colour, accent = _colours(rng, "knit")
     pattern = {
         "bandana": {"print": 0.5, "dots": 0.3, "plain": 0.2},
@@ -265,7 +259,7 @@ def draw_hat(rng: np.random.Generator, age: float, male: bool, hair_fits: bool) 
         "beanie": {"plain": 0.75, "heather": 0.25},
     }.get(style, {"plain": 1.0})  # fmt: skip
     hat = Hat(
-        style=style, pattern=_chosen(rng, pattern), colour=colour, accent=accent,
+        style=style, pattern=chosen(rng, pattern), colour=colour, accent=accent,
         seed=draw_seed(rng),
     )  # fmt: skip
     return hat if hair_fits or style == "headscarf" else None
@@ -277,8 +271,8 @@ def draw_scarf(rng: np.random.Generator, top: Top, jacket: Jacket | None) -> Sca
     colour, accent = _colours(rng, "knit")
     scarf = Scarf(
         thickness_mm=round(float(rng.uniform(27, 40)), 1),
-        fabric=_chosen(rng, {"knit": 1.0, "flannel": 1.0, "cable": 0.4, "jersey": 0.6}),
-        pattern=_chosen(rng, {"plain": 3.0, "tartan": 1.2, "stripes": 0.5, "heather": 0.6}),
+        fabric=chosen(rng, {"knit": 1.0, "flannel": 1.0, "cable": 0.4, "jersey": 0.6}),
+        pattern=chosen(rng, {"plain": 3.0, "tartan": 1.2, "stripes": 0.5, "heather": 0.6}),
         colour=colour, accent=accent, seed=draw_seed(rng),
     )  # fmt: skip
     low = top.neckline in ("crew", "loose", "vee", "scoop", "henley")

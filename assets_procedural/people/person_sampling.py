@@ -9,13 +9,8 @@ import numpy as np
 from assets_procedural.hair.styles import STYLES
 from assets_procedural.people.ages import phenotype_age
 from assets_procedural.people.ancestry import Heritage
-from assets_procedural.people.appearance_sampling import (
-    clipped,
-    draw_brows,
-    draw_eyes,
-    draw_makeup,
-)
-from assets_procedural.people.choices import Choices
+from assets_procedural.people.appearance_sampling import draw_brows, draw_eyes, draw_makeup
+from assets_procedural.people.choices import Choices, clipped
 from assets_procedural.people.face_shape import draw_asymmetry, draw_shape
 from assets_procedural.people.kinds import Kind, draw_kind
 from assets_procedural.people.outfit_sampling import (

@@ -66,7 +66,7 @@ def within_norm(deviates: np.ndarray) -> np.ndarray:
 def keep_plausible(deviates: np.ndarray) -> np.ndarray:
     """Deviates of the changes of `SPREAD`, moved as little as it takes to meet the limits.
 
-    Each limit that is exceeded is met in turn, the worst faces' more than once; several that
+    Each limit that is exceeded is met in turn, again and again for the worst faces; limits that
     oppose each other may stay exceeded by a little.
     """
     deviates = np.clip(deviates, -_EXTREME, _EXTREME)

@@ -46,8 +46,8 @@ def _fitted(stored: str) -> Factors:
     for attribute in asked:
         seen: list[dict[str, float]] = []
         for index in range(PEOPLE):
-            points = spread_points(index, np.random.default_rng(0))
-            choices = Choices(found, {name: points[name] for name in asked})
+            points = quota_points(settings, index, np.random.default_rng(0))
+            choices = Choices(found, points)
             draw_kind(np.random.default_rng([0, index]), settings, choices)
             seen.append(choices.frequencies[attribute])
         fitted = _fit(attribute, seen, settings.quotas[attribute])

@@ -1,7 +1,8 @@
 """A picture plane for the face: azimuth and elevation about a point inside the template's head.
 
 Seen from that point, face, underside of the chin and throat do not hide each other. Texels span
-about 0.4 mm. Positions are template positions ("rest"), metres; rows of pictures run downwards.
+about 0.4 by 0.33 mm. Positions are template positions ("rest"), metres; rows of pictures run
+downwards.
 """
 
 from __future__ import annotations
@@ -20,6 +21,8 @@ WIDTH, HEIGHT = 1024, 896
 _CENTRE = np.array([0.0, 0.0, 0.700])
 _AZIMUTH = np.radians(78.0)
 _ELEVATION = np.radians([-66.0, 46.0])
+TEXEL = 0.33e-3
+"""Height of a texel on the middle of the face, metres; it is a fifth wider."""
 COARSE = 4
 """Texels of the picture to one cell of `zones`."""
 _PER_QUAD = 6

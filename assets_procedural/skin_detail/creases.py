@@ -9,13 +9,15 @@ from scipy.interpolate import PchipInterpolator
 from scipy.ndimage import gaussian_filter
 
 from assets_procedural.body.head import HeadModel
-from assets_procedural.mesh.vectors import smoothstep
+from assets_procedural.mesh.vectors import smoothstep, way_along
 from assets_procedural.motion.expressions import Actions
 from assets_procedural.person import Skin
 from assets_procedural.skin_detail import chart
 from assets_procedural.skin_detail.fold_curves import FOLDS, Fold
 
 _STEP = 2.0e-3
+# Off the middle of the face texels are lower than `chart.TEXEL`, metres.
+_LOW_TEXEL = 0.28e-3
 _Box = tuple[slice, slice]
 
 
@@ -46,9 +48,7 @@ class Creases:
         self._wrinkles = skin.wrinkles
         rng = np.random.default_rng([skin.seed, 2])
         self._reliefs = [
-            relief
-            for fold in FOLDS.values()
-            for relief in _person_fold(fold, skin.wrinkles, model, rng)
+            relief for fold in FOLDS.values() for relief in _person_fold(fold, model, rng)
         ]
 
     def height(self, actions: Actions) -> np.ndarray:
@@ -61,9 +61,7 @@ class Creases:
         return total
 
 
-def _person_fold(
-    fold: Fold, wrinkles: float, model: HeadModel, rng: np.random.Generator
-) -> list[_Relief]:
+def _person_fold(fold: Fold, model: HeadModel, rng: np.random.Generator) -> list[_Relief]:
     own = float(np.exp(rng.normal(0, 0.3)))
     shift = rng.normal(0, [0.5, 0.7])
     reliefs = []
@@ -121,7 +119,7 @@ def _relief(
 
 def _smooth(points: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """A smooth curve (N, 2) through (K, 2) points, in steps of about `_STEP`, a little unsteady."""
-    length = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    length = way_along(points)
     count = max(int(length[-1] / _STEP), 4)
     at = np.linspace(0, length[-1], count)
     path = np.stack([PchipInterpolator(length, points[:, k])(at) for k in (0, 1)], axis=1)
@@ -134,7 +132,7 @@ def _smooth(points: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 def _box(points: np.ndarray, reach: float) -> _Box:
     """The part of the chart within about `reach` metres of the points (N, 3)."""
     columns, rows = chart.pixels(points).T
-    margin = reach / 0.28e-3
+    margin = reach / _LOW_TEXEL
     return (
         slice(*np.clip([rows.min() - margin, rows.max() + margin], 0, chart.HEIGHT).astype(int)),
         slice(
@@ -146,9 +144,10 @@ def _box(points: np.ndarray, reach: float) -> _Box:
 def _distance(
     surface: np.ndarray, curve: np.ndarray, box: _Box
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of texels (H, W, 3) from a curve (N, 3): distance, the same signed by side, place in [0, 1].
+    """How far texels (H, W, 3) are from a curve (N, 3), the same by side, and where along it.
 
-    Positive to the right of the curve's direction, as seen in the picture.
+    Metres, and [0, 1] from the curve's start to its end. By side: positive to the right of the
+    curve's direction as seen in the picture, negative to the left, and nearer 0 beside the curve.
     """
     points, lines = surface.astype(np.float32), curve.astype(np.float32)
     best = np.full(points.shape[:2], np.inf, np.float32)

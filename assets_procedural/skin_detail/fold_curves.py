@@ -1,16 +1,17 @@
 """Where a face folds: named curves on the template, as seen from in front.
 
-Points are (x, z) in millimetres from the template's origin, on the subject's left where x > 0;
-curves of one side are mirrored by `creases`. Anatomy after Ekman & Friesen's action units: folds
-lie across the pull of the muscles that the ARKit actions stand for.
+Points are (x, z) in millimetres from the template's origin, on the subject's left where x > 0; a
+fold that each side has is given on the left, and `creases` mirrors it. Anatomy after Ekman &
+Friesen's action units: folds lie across the pull of the muscles that the ARKit actions stand for.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
+from assets_procedural.motion.expressions import Actions
+
 Points = tuple[tuple[float, float], ...]
-Actions = dict[str, float]
 
 
 @dataclass(frozen=True)
@@ -20,8 +21,9 @@ class Fold:
     `curves`: polylines; `width` of the valley, mm; `depth` at full strength, mm; `ageing`: depth
     at rest of the most wrinkled face, as a share; `smooth`: the same of the smoothest; `pulls`:
     share of the depth that each action adds, without its side; `bulge`: height of the shoulder
-    to the right of the curve's direction as a share of the depth; `seam`: at rest, how often a
-    person has each curve.
+    to the right of the curve's direction (below 0, to the left) as a share of the depth; `often`:
+    the chance that a curve is as deep as that and not a quarter of it; `sided`: whether each side
+    of the face has its own.
     """
 
     curves: tuple[Points, ...]
@@ -131,4 +133,4 @@ FOLDS: dict[str, Fold] = {
         width=1.8, depth=0.7, ageing=0.7, smooth=0.16, often=0.75, sided=False, pulls={},
     ),
 }  # fmt: skip
-"""By name, unordered."""
+"""By name. The order matters: each person's own folds are drawn in it."""

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter, zoom
 
 from assets_procedural.body.head import HeadModel
-from assets_procedural.mesh.vectors import smoothstep
+from assets_procedural.mesh.vectors import smoothstep, way_along
 from assets_procedural.person import Person
 from assets_procedural.skin_detail import chart
 
@@ -23,7 +23,6 @@ _SCAR = np.array([0.12, 0.20, 0.22], np.float32)
 _VEIN = np.array([0.13, 0.055, 0.035], np.float32)
 _LINER = np.array([0.90, 0.90, 0.88], np.float32)
 
-_TEXEL = 0.33e-3
 # Seen from in front, millimetres: a vein at the temple, and the rims of the lids outwards.
 _VEINS = (
     ((56, 738), (58, 745), (57, 751), (60, 758), (58.5, 766)),
@@ -112,7 +111,7 @@ def _spots(
     low, high = radii
     for row, column in zip(rows, columns, strict=True):
         centre = chart.COARSE * np.array([row, column]) + rng.uniform(0, chart.COARSE, 2)
-        radius = (low + (high - low) * rng.random() ** 2.2) / _TEXEL
+        radius = (low + (high - low) * rng.random() ** 2.2) / chart.TEXEL
         half = int(np.ceil(radius * (1.6 + soft))) + 1
         top, left = (int(c) - half for c in centre)
         if top < 0 or left < 0 or top + 2 * half >= chart.HEIGHT or left + 2 * half >= chart.WIDTH:
@@ -137,12 +136,12 @@ def _strokes(model: HeadModel, paths: list[np.ndarray], width: float) -> np.ndar
     drawn = np.zeros((chart.HEIGHT, chart.WIDTH), np.float32)
     for path in paths:
         front = path * 1e-3
-        length = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(front, axis=0), axis=1))])
+        length = way_along(front)
         at = np.linspace(0, length[-1], max(int(length[-1] / 0.15e-3), 2))
         front = np.stack([np.interp(at, length, front[:, k]) for k in (0, 1)], axis=1)
         columns, rows = chart.pixels(chart.lift(model, front)).round().astype(int).T
         along = at / length[-1]
         ends = smoothstep(0, 0.25, along) * smoothstep(1, 0.85, along)
         np.maximum.at(drawn, (rows, columns), ends.astype(np.float32))
-    blurred = gaussian_filter(drawn, 0.5 * width / _TEXEL)
+    blurred = gaussian_filter(drawn, 0.5 * width / chart.TEXEL)
     return np.clip(blurred / max(float(blurred.max()), 1e-6), 0, 1)

@@ -27,8 +27,8 @@ class Patient(H11Protocol):
     """Closes a connection whose request is not there in `HEADER_SECONDS`, however it trickles, or
     whose answer is not read for `READER_SECONDS`."""
 
-    _timer: asyncio.TimerHandle | None = None
-    _reader: asyncio.TimerHandle | None = None
+    _head_timer: asyncio.TimerHandle | None = None
+    _reader_timer: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         super().connection_made(transport)
@@ -54,13 +54,13 @@ class Patient(H11Protocol):
     def _watch(self) -> None:
         if self.cycle is not None and not self.cycle.response_complete:
             self._stop()
-        elif self._timer is None:
-            self._timer = self.loop.call_later(HEADER_SECONDS, self.transport.close)
+        elif self._head_timer is None:
+            self._head_timer = self.loop.call_later(HEADER_SECONDS, self.transport.close)
 
     def _stop(self) -> None:
-        if self._timer is not None:
-            self._timer.cancel()
-            self._timer = None
+        if self._head_timer is not None:
+            self._head_timer.cancel()
+            self._head_timer = None
 
     def _await_reader(self) -> None:
         left = self.transport.get_write_buffer_size()
@@ -71,12 +71,12 @@ class Patient(H11Protocol):
             else:
                 self.transport.abort()
 
-        self._reader = self.loop.call_later(READER_SECONDS, look)
+        self._reader_timer = self.loop.call_later(READER_SECONDS, look)
 
     def _forget_reader(self) -> None:
-        if self._reader is not None:
-            self._reader.cancel()
-            self._reader = None
+        if self._reader_timer is not None:
+            self._reader_timer.cancel()
+            self._reader_timer = None
 
 
 def serve(

@@ -1,7 +1,16 @@
 """Datasets: their files, the shots in them, and reading them (`open_dataset`)."""
 
 from synthgen.dataset.reading import Dataset, open_dataset
-from synthgen.dataset.records import FORMAT, FORMATS
+from synthgen.dataset.records import FORMAT, FORMATS, averaged, curve
 from synthgen.dataset.samples import Samples, decoder
 
-__all__ = ["FORMAT", "FORMATS", "Dataset", "Samples", "decoder", "open_dataset"]
+__all__ = [
+    "FORMAT",
+    "FORMATS",
+    "Dataset",
+    "Samples",
+    "averaged",
+    "curve",
+    "decoder",
+    "open_dataset",
+]

@@ -118,7 +118,9 @@ def decode_npz(data: bytes, most: int = LARGEST) -> dict[str, np.ndarray]:
             # checksum is compared.
             _check_room(sum(entry.file_size for entry in entries), most)
             return {e.filename.removesuffix(".npy"): _array(archive.read(e)) for e in entries}
-    except (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, NotImplementedError) as error:
+    # RuntimeError: zipfile's word for encrypted entries and, as NotImplementedError, for packing it
+    # does not know.
+    except (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError) as error:
         raise ValueError(f"is damaged: {error}") from None
 
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from assets_procedural.conventions import colour, first_curve
 from assets_procedural.conventions.camera import LANDMARK_MARGIN
 from assets_procedural.conventions.colour import to_bytes
 from assets_procedural.conventions.parts import Part
 from synthgen.dataset.passes import PASSES
-from synthgen.dataset.records import FORMAT
+from synthgen.dataset.records import FORMAT, averaged, curve
 from synthgen.dataset.shot import Shot, camera_of
+from synthgen.planning.job import LensSettings
 
 PART_IDS = tuple(Part)
 _SKIN = (Part.SKIN, Part.NOSE)
@@ -45,10 +45,12 @@ def quality(shot: Shot, format: int = FORMAT) -> dict[str, float]:
     matte = shot.alpha > 127
     union = (mask | matte).sum()
     length = np.linalg.norm(shot.normal.astype(np.float32), axis=-1)
-    whole = mask if format == 1 else np.isin(shot.parts, _SKIN) & (shot.alpha == 255)
-    # Strands in front of skin, and its relief, make means of normals short.
-    typical = np.quantile(length[whole], 0.5 if format == 1 else 0.9) if whole.any() else 1.0
-    bare = mask if format == 1 else mask & ~np.isin(shot.parts, _STRANDS) & (length > _SMOOTH)
+    whole, bare, share = mask, mask, 0.5
+    if averaged(format):
+        # Strands in front of skin, and its relief, make means of normals short.
+        whole, share = np.isin(shot.parts, _SKIN) & (shot.alpha == 255), 0.9
+        bare = mask & ~np.isin(shot.parts, _STRANDS) & (length > _SMOOTH)
+    typical = np.quantile(length[whole], share) if whole.any() else 1.0
     level = [float(image[matte][:, :3].mean()) if matte.any() else 0.0 for image in shot.rgb]
     deviation = [float(image[..., :3].std()) for image in shot.rgb]
     return {
@@ -73,11 +75,10 @@ def _light_levels(shot: Shot, format: int) -> int:
 
     A lens that blurs, and grain, are no function of a pixel's light: with them it is not asked.
     """
-    lens = shot.meta.get("lens", {})
-    if shot.hdr is None or any(lens.get(name) for name in ("bloom", "blur", "grain", "sharpen")):
+    if shot.hdr is None or _lens(shot).changes_pictures:
         return 0
     opaque = shot.alpha == 255
-    display = first_curve.display if format == 1 else colour.display
+    display = curve(format).display
     worst = 0
     for picture, linear, exposure in zip(shot.rgb, shot.hdr, shot.meta["exposures"], strict=True):
         shown = to_bytes(display(exposure * linear[opaque][:, :3].astype(np.float32)))
@@ -86,9 +87,16 @@ def _light_levels(shot: Shot, format: int) -> int:
     return worst
 
 
+def _lens(shot: Shot) -> LensSettings:
+    """What a shot says of its lens; unchecked, since a stranger may have written anything."""
+    said = shot.meta.get("lens", {})
+    known = {name: value for name, value in said.items() if name in LensSettings.model_fields}
+    return LensSettings.model_construct(**known)
+
+
 def _normal_excess(shot: Shot, format: int) -> float:
-    """By how much a normal is at most longer than coverage; format 1 has unit normals."""
-    if format == 1:
+    """By how much a normal is at most longer than coverage; 0 where normals are no means."""
+    if not averaged(format):
         return 0.0
     length = np.linalg.norm(shot.normal.astype(np.float32), axis=-1)
     return float((length - shot.alpha / np.float32(255)).max())
@@ -116,12 +124,10 @@ def _normal_angle(shot: Shot, mask: np.ndarray) -> float:
 
 
 def inspect(shot: Shot, format: int = FORMAT) -> tuple[list[str], dict[str, float]]:
-    """Check a shot against the dataset contract: problems, one line each, and quality figures.
+    """Check a shot of a dataset of `format` against the contract: problems, and quality figures.
 
-    `format` is that of its dataset.
-
-    A shot without problems may be stored. There are no figures if shapes or values are too wrong
-    to compute any.
+    Problems are one line each; a shot without any may be stored. There are no figures if shapes or
+    values are too wrong to compute any.
     """
     if problems := _shapes(shot) or _values(shot, format):
         return problems, {}
@@ -229,9 +235,9 @@ def _values(shot: Shot, format: int) -> list[str]:
         if each.background is None:
             continue
         array = shot.passes[each.name]
-        if format == 1 and each.name == "albedo":
+        if each.name == "albedo" and not averaged(format):
             continue
-        there = shot.alpha > 0 if each.averaged and format > 1 else mask
+        there = shot.alpha > 0 if each.averaged and averaged(format) else mask
         if each.positive:
             above = array > each.background
             if (above != mask).any() or (array < each.background).any():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from types import ModuleType
 from typing import Annotated, Any, Self
 
 from pydantic import (
@@ -14,6 +15,7 @@ from pydantic import (
     model_validator,
 )
 
+from assets_procedural.conventions import colour, first_curve
 from assets_procedural.conventions.errors import one_line
 from assets_procedural.conventions.files import read_regular
 from synthgen.dataset.folder import NAME, DatasetFolder, Place, StorageError, not_a_name
@@ -24,6 +26,19 @@ FORMAT = 2
 """Of the datasets that are written, see docs/dataset.md."""
 FORMATS = (1, FORMAT)
 """Of the datasets that are read."""
+
+
+def curve(format: int) -> ModuleType:
+    """The module whose `display` and `undisplay` the pictures of a format were made with."""
+    return first_curve if format == 1 else colour
+
+
+def averaged(format: int) -> bool:
+    """Whether albedo and normals are means over the pixel, premultiplied by coverage.
+
+    Else they are of one point of it, and 0 where `parts` is.
+    """
+    return format != 1
 
 
 def storable(text: Any) -> Any:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from assets_procedural.conventions.console import size
+from assets_procedural.conventions.console import count, size
 from synthgen.farm import calibration
 from synthgen.farm.calibration import Calibration, Found
 from synthgen.planning.plan import Plan, subject_bytes
@@ -80,7 +80,7 @@ def estimate(
     for name, spec in job.subsets.items():
         found = calibration.find(job, spec.kind, device, threads, renderer, named)
         measured = found.source != "reference"
-        size = found.costs.bytes(spec) if measured else subject_bytes(job, spec)
+        each = found.costs.bytes(spec) if measured else subject_bytes(job, spec)
         subsets.append(
             SubsetEstimate(
                 name=name,
@@ -88,7 +88,7 @@ def estimate(
                 subjects=spec.subjects,
                 shots=spec.subjects * spec.shots,
                 frames=spec.subjects * spec.shots * spec.environments,
-                bytes=spec.subjects * size,
+                bytes=spec.subjects * each,
                 hours=found.costs.seconds(spec) * spec.subjects / 3600,
                 found=found,
             )
@@ -169,15 +169,15 @@ def report(result: Estimate, within_hours: float | None, console: Console) -> No
     console.print(table)
     for line in _sources(result):
         console.print(line, soft_wrap=True)
-    how = f"{_count(result.processes, 'process', 'processes')} of "
-    how += f"{_count(result.threads, 'thread', 'threads')}, {result.device}"
+    how = f"{count(result.processes, 'process', 'processes')} of "
+    how += f"{count(result.threads, 'thread')}, {result.device}"
     console.print(f"This machine ({how}) needs {_days(result.elapsed_hours / 24)}.")
     if within_hours is not None:
-        count = result.machines(within_hours)
-        machines = _count(count, "machine", "machines")
+        needed = result.machines(within_hours)
+        machines = count(needed, "machine")
         console.print(f"Within {_days(within_hours / 24)}: {machines} like this one.")
-        if count > 1:
-            console.print(f"Give each its slice: --shard 1/{count} to {count}/{count}.")
+        if needed > 1:
+            console.print(f"Give each its slice: --shard 1/{needed} to {needed}/{needed}.")
 
 
 def _sources(result: Estimate) -> list[str]:
@@ -206,12 +206,8 @@ def _source(found: Found, device: str) -> str:
         return said + "."
     return (
         f"{said}, carried over from {measured.resolution} x {measured.resolution}, "
-        f"{measured.samples} samples, {_count(measured.threads, 'thread', 'threads')}."
+        f"{measured.samples} samples, {count(measured.threads, 'thread')}."
     )
-
-
-def _count(number: int, one: str, many: str) -> str:
-    return f"{number:,} {one if number == 1 else many}"
 
 
 def _days(days: float) -> str:

@@ -10,6 +10,7 @@ import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
+from assets_procedural.conventions import console
 from assets_procedural.conventions.panorama_reading import PanoramaError, read
 from assets_procedural.light.pool import EnvironmentSpec, pool
 from synthgen.dataset import ledger
@@ -47,6 +48,14 @@ def check_panorama(spec: EnvironmentSpec, file: str | Path) -> None:
             raise _panorama_error(error, spec.path, file) from None
         except OSError as error:
             raise _unreadable(error, spec.path, file) from None
+
+
+def check_panoramas(environments: list[EnvironmentSpec], out: Path, file: str | Path) -> None:
+    """Read the user's own panoramas, except those that the dataset holds already."""
+    folder = DatasetFolder(out)
+    unseen = [e for e in environments if e.kind == "file" and not folder.environment(e.id).exists()]
+    for environment in console.track(unseen, "reading panoramas"):
+        check_panorama(environment, file)
 
 
 def check_output(out: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import datetime
 from typing import Any
 
@@ -11,6 +12,7 @@ from synthgen.dataset import manifest
 from synthgen.dataset.database import quoted
 from synthgen.dataset.folder import DatasetFolder, Place, StorageError
 from synthgen.dataset.records import read_description
+from synthgen.farm import calibration
 from synthgen.farm.calibration import Calibration, machine_name
 from synthgen.planning.job import SubsetSpec
 from synthgen.publish import publish
@@ -62,6 +64,12 @@ def recorded_costs(out: Place, device: str, threads: int) -> list[Calibration]:
     if not found:
         raise StorageError(f"{folder}: its manifest records no {_LIGHT}")
     return list(found.values())
+
+
+def remember_costs(out: Place, device: str, threads: int) -> None:
+    """For `plan`, what this run took; a cache that cannot be written spoils no rendering."""
+    with contextlib.suppress(OSError, StorageError):
+        calibration.save(recorded_costs(out, device, threads))
 
 
 def _figures(connection: Any, subset: str, spec: SubsetSpec) -> dict[str, float] | None:

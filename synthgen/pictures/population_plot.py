@@ -23,8 +23,7 @@ def report(population: Population, console: Console) -> None:
     """Print every marginal: the share of each value as drawn and as asked, with a bar."""
     from rich.table import Table
 
-    title = f"{population.people:,} people of {population.subset}"
-    table = Table(title=title, title_justify="left", box=None)
+    table = Table(title=_title(population), title_justify="left", box=None)
     for name in ("attribute", "value"):
         table.add_column(name)
     for name in ("asked", "drawn"):
@@ -53,11 +52,14 @@ def plot(population: Population, target: Path) -> Path:
     width = EDGE + _COLUMNS * (_COLUMN + EDGE)
     page = Image.new("RGB", (width, max(heights) + 2 * EDGE + 2 * _LINE), PAPER)
     draw = ImageDraw.Draw(page)
-    title = f"{population.people:,} people of {population.subset}"
-    draw.text((EDGE, EDGE), words(title), INK, font(18))
+    draw.text((EDGE, EDGE), words(_title(population)), INK, font(18))
     for marginal, (x, y) in zip(population.marginals, places, strict=True):
         _bars(draw, marginal, x, y + EDGE + 2 * _LINE)
     return save(page, target)
+
+
+def _title(population: Population) -> str:
+    return f"{population.people:,} people of {population.subset}"
 
 
 def _bars(draw: ImageDraw.ImageDraw, marginal: Marginal, x: int, y: int) -> None:

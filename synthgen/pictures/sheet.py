@@ -105,8 +105,8 @@ def portraits(out: Place, target: Path | str, subset: str | None = None, columns
     chosen = people[0] if single else [positions[0] for positions in people[:MOST]]
     images: list[np.ndarray] = []
     for position in console.track(chosen, "drawing portraits"):
-        pictures = dataset[position].rgb
-        images.extend(pictures if single else pictures[:1])
+        taken = dataset[position].rgb
+        images.extend(taken if single else taken[:1])
     images = images[:MOST]
     size = SHEET // columns
     page = Image.new("RGB", (size * columns, size * -(-len(images) // columns)), PAPER)

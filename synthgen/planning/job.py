@@ -16,8 +16,8 @@ from pydantic import Field, ValidationError, field_validator, model_validator
 from assets_procedural.conventions.camera import LANDMARK_MARGIN, SENSOR_MM
 from assets_procedural.conventions.errors import one_line
 from assets_procedural.light.pool import EnvironmentSettings
-from assets_procedural.motion.poses import PoseSettings
-from assets_procedural.people.person_sampling import PeopleSettings
+from assets_procedural.motion.poses import Mood, PoseSettings
+from assets_procedural.people.people_settings import PeopleSettings
 from assets_procedural.settings import Interval, Settings, interval
 from synthgen.errors import JobError, explain
 from synthgen.planning.shipped_jobs import job_file
@@ -36,6 +36,8 @@ class SubsetSpec(Settings):
     """Cameras per subject (multiview)."""
     frames: int | None = Field(default=None, ge=1, le=1000)
     """Poses per subject (video)."""
+    moods: Annotated[tuple[Mood, ...], Field(min_length=1)] | None = None
+    """What the frames show in turn, each whole, instead of a drawn motion (video)."""
     people_of: str | None = None
     """Another subset whose people these are: subject i is the same person, in the same split."""
 
@@ -46,6 +48,8 @@ class SubsetSpec(Settings):
             raise ValueError(f'kind = "{self.kind}" needs {wanted}; add it')
         if getattr(self, other) is not None:
             raise ValueError(f'kind = "{self.kind}" has no {other}; remove it')
+        if self.moods and self.kind != "video":
+            raise ValueError(f'kind = "{self.kind}" has no moods; remove them')
         return self
 
     @property
@@ -202,6 +206,11 @@ class JobSpec(Settings):
     image: ImageSettings = ImageSettings()
     lens: LensSettings = LensSettings()
     splits: SplitSettings = SplitSettings()
+
+    @property
+    def different_people(self) -> int:
+        """How many there are: those that subsets share count once."""
+        return sum(s.subjects for s in self.subsets.values() if s.people_of is None)
 
     @model_validator(mode="after")
     def _whole_pictures(self) -> JobSpec:

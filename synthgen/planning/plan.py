@@ -20,7 +20,7 @@ from assets_procedural.conventions.camera import CameraSample, resolve
 from assets_procedural.light.key_light import sample_key
 from assets_procedural.light.pool import pool
 from assets_procedural.motion.poses import Pose, sample_pose
-from assets_procedural.motion.tracks import sample_track
+from assets_procedural.motion.tracks import named_moods, sample_track
 from assets_procedural.people.person_sampling import sample_person
 from assets_procedural.people.quotas import QuotaError, factors, quota_points
 from assets_procedural.person import Person
@@ -184,6 +184,8 @@ class Plan:
         rng = self._rng(subset, index, Stream.POSE)
         if spec.kind == "multiview":
             poses: tuple[Pose, ...] = (sample_pose(rng, self.job.poses, lens),)
+        elif spec.moods:
+            poses = named_moods(rng, spec.moods, spec.shots, self.job.poses, lens)
         else:
             poses = sample_track(rng, spec.shots, self.job.poses, lens)
         environments, keys = self._environments(subset, index, spec)
@@ -262,7 +264,8 @@ class Plan:
 def plan(job: JobSpec) -> Plan:
     """The plan of a job; lists the pool of environments, renders nothing.
 
-    Raises `JobError` if a subset wants more environments per subject than the pool has.
+    Raises `JobError` if a subset wants more environments per subject than the pool has, or if
+    people cannot reach a quota.
     """
     return Plan(job, [spec.id for spec in pool(job.environments, job.seed)])
 

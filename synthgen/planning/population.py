@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -14,12 +16,12 @@ from assets_procedural.people.quotas import attributes
 from assets_procedural.person import Person
 from synthgen.planning.plan import Plan
 
-# Figures of a person that are shown as a histogram: name, lowest, highest.
-_FIGURES = (
-    ("age_years", 0.0, 100.0),
-    ("skin_melanin", 0.0, 1.0),
-    ("hair_curl", 0.0, 1.0),
-    ("weight", 0.0, 1.0),
+# Figures of a person that are shown as a histogram: name, where it is, lowest, highest.
+_FIGURES: tuple[tuple[str, Callable[[Person], float], float, float], ...] = (
+    ("age_years", lambda person: person.age_years, 0.0, 100.0),
+    ("skin_melanin", lambda person: person.skin.melanin, 0.0, 1.0),
+    ("hair_curl", lambda person: person.hair.curl, 0.0, 1.0),
+    ("weight", lambda person: person.phenotypes["weight"], 0.0, 1.0),
 )
 _BINS = 10
 
@@ -58,13 +60,13 @@ def population(plan: Plan, people: int, subset: str | None = None) -> Population
         shown = [v for v in VALUES[name] if counts[v] or v in asked]
         shares = {value: counts[value] / people for value in shown}
         marginals.append(Marginal(name, shares, dict(asked)))
-    for name, low, high in _FIGURES:
-        found = [_figure(person, name) for person in drawn]
+    for name, figure, low, high in _FIGURES:
+        found = [figure(person) for person in drawn]
         counts, edges = np.histogram(found, _BINS, (low, high))
         digits = 0 if high > 10 else 1
         shares = {
             f"{a:.{digits}f} to {b:.{digits}f}": float(n) / people
-            for a, b, n in zip(edges, edges[1:], counts, strict=False)
+            for (a, b), n in zip(pairwise(edges), counts, strict=True)
         }
         marginals.append(Marginal(name, shares, {}))
     return Population(subset, people, tuple(marginals))
@@ -79,14 +81,3 @@ def as_json(population: Population) -> dict[str, Any]:
             m.attribute: {"drawn": m.drawn, "asked": m.asked} for m in population.marginals
         },
     }
-
-
-def _figure(person: Person, name: str) -> float:
-    match name:
-        case "age_years":
-            return person.age_years
-        case "skin_melanin":
-            return person.skin.melanin
-        case "hair_curl":
-            return person.hair.curl
-    return person.phenotypes[name]

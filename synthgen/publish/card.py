@@ -33,18 +33,21 @@ def totals(info: Description) -> Counts:
     )
 
 
-def contents(total: Counts) -> str:
+def contents(frames: int, people: int) -> str:
     """What a dataset holds, in words: 60 synthetic portraits of 5 people."""
-    portraits = console.count(total.frames, "synthetic portrait")
-    return f"{portraits} of {console.count(total.subjects, 'person', 'people')}"
+    portraits = console.count(frames, "synthetic portrait")
+    return f"{portraits} of {console.count(people, 'person', 'people')}"
 
 
 def _splits(info: Description, subset: str) -> list[str]:
     return [s for s in SPLITS if info.counts[subset][s].shots]
 
 
-def card(info: Description) -> str:
-    """README.md with the YAML header that the Hugging Face hub reads: configs = subsets."""
+def card(info: Description, people: int) -> str:
+    """README.md with the YAML header that the Hugging Face hub reads: configs = subsets.
+
+    `people` is how many different ones there are: fewer than subjects if subsets share them.
+    """
     lines = ["---", f"license: {licence(info)[0]}", f"pretty_name: {info.name}", "tags:"]
     lines += ["- webdataset", "- synthetic", "- portraits", "- relighting"]
     lines += ["task_categories:", "- image-to-image", "configs:"]
@@ -53,9 +56,9 @@ def card(info: Description) -> str:
         for split in _splits(info, subset):
             lines += [f"  - split: {split}", f"    path: {HERE.shards_pattern(subset, split)}"]
     lines += ["---", "", f"# {info.name}", ""]
-    total, job = totals(info), info.job
+    job = info.job
     lines += [
-        f"{contents(total)} at "
+        f"{contents(totals(info).frames, people)} at "
         f"{job['resolution']}², rendered by synthgen {info.code['version']} with seed "
         f"{job['seed']}. Every person is made of parameters; nobody is real.",
         "",

@@ -29,7 +29,7 @@ CONTEXT: dict[str, Any] = {
 } | {term: f"cr:{term}" for term in _TERMS}
 
 
-def croissant(info: Description) -> dict[str, Any]:
+def croissant(info: Description, people: int) -> dict[str, Any]:
     """Croissant 1.1 metadata: the manifests as tables, the shards as sets of files."""
     distribution: list[dict[str, Any]] = []
     records: list[dict[str, Any]] = []
@@ -92,13 +92,13 @@ def croissant(info: Description) -> dict[str, Any]:
             "includes": HERE.panoramas_pattern(),
         }
     )
-    total = totals(info)
     return {
         "@context": CONTEXT,
         "@type": "sc:Dataset",
         "conformsTo": "http://mlcommons.org/croissant/1.1",
         "name": info.name,
-        "description": f"{contents(total)} with geometry, masks, cameras and environments.",
+        "description": f"{contents(totals(info).frames, people)} with geometry, masks, cameras "
+        "and environments.",
         "license": licence(info)[1],
         "citeAs": f"{info.name}, rendered by synthgen {info.code['version']}",
         # Relative to this file: where the dataset will be published is not known here.

@@ -232,6 +232,7 @@ def complete(out: Place) -> bool:
     folder = DatasetFolder(out)
     plan, info = stored_plan(folder), read_description(folder)
     shards, counts, files, hashes = [], {}, {}, {}
+    people: dict[str, set[str]] = {}  # who is there, by the subset that they come from
     for subset in plan.job.subsets:
         tally = {split: {"subjects": 0, "shots": 0, "frames": 0} for split in SPLITS}
         for planned in plan.shards(subset):
@@ -242,6 +243,7 @@ def complete(out: Place) -> bool:
             tally[planned.split]["subjects"] += len(record.subjects)
             tally[planned.split]["shots"] += record.shots
             tally[planned.split]["frames"] += record.frames
+            people.setdefault(plan.people_of(subset), set()).update(record.subjects)
             if record.subjects:
                 shards.append(ShardSeal(tar=record.tar, bytes=record.bytes, sha256=record.sha256))
         counts[subset] = {split: Counts(**tally[split]) for split in SPLITS}
@@ -269,8 +271,9 @@ def complete(out: Place) -> bool:
         }
     )
     description = _pretty(info.to_json())
-    write_atomically(folder.croissant, _pretty(croissant.croissant(info)))
-    write_atomically(folder.card, card.card(info).encode("utf-8", "replace"))
+    shown = sum(map(len, people.values()))
+    write_atomically(folder.croissant, _pretty(croissant.croissant(info, shown)))
+    write_atomically(folder.card, card.card(info, shown).encode("utf-8", "replace"))
     write_atomically(folder.description_copy, description)
     for path in (folder.croissant, folder.card, *folder.failure_notes()):
         hashes[folder.relative(path)] = sha256(path)

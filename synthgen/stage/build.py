@@ -58,6 +58,7 @@ def build_figure(person: Person, identity: Identity, pieces: list[Piece]) -> Fig
     """Create all objects, in the neutral pose; `pose_figure` moves them."""
     neutral = identity.neutral
     detail = SkinDetail(person, identity.model)
+    # The skin's material takes the image as it is made; `pose_figure` then changes its pixels.
     skin_material.show_detail(detail.picture(neutral.pose.expression))
     subdivision, skin = _build_skin(person, identity)
     objects = [(piece, _build_piece(piece, neutral)) for piece in pieces]
@@ -98,7 +99,7 @@ def _build_piece(piece: Piece, bust: Bust) -> bpy.types.Object:
     vertices = piece.place(bust)
     mesh = _mesh(piece.name, vertices, piece.faces, piece.uv, piece.vertex, piece.part)
     mesh.shade_smooth() if piece.smooth else mesh.shade_flat()
-    mesh.materials.append(materials.surface(piece.material, piece.parameters, None))
+    mesh.materials.append(materials.surface(piece.material, piece.parameters))
     object_ = _link(mesh)
     object_["hidden_from_labels"] = piece.hidden_from_labels
     return object_

@@ -119,7 +119,10 @@ def _creases(graph: Graph, rest: Socket, height: float) -> Socket:
 
 
 def _seams(graph: Graph, weave: str) -> Socket:
-    """1 in the groove of a seam to 0 beside it; woven cloth has a line of stitches along it."""
+    """1 in the groove of a seam to 0 beside it; woven cloth has a line of stitches along it.
+
+    The third distance of `seams` is not drawn.
+    """
     distance = graph.node("SeparateXYZ", {0: graph.attribute("seams").outputs["Vector"]})
     depth: Socket = 0.0
     for axis in ("X", "Y"):

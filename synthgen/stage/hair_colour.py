@@ -18,9 +18,10 @@ def strand_colours(piece: StrandPiece) -> np.ndarray:
     """(N, K, 4) linear colours at the points of a piece's strands.
 
     The piece's parameters: `melanin` and `redness` in [0, 1], `grey` the share of unpigmented
-    hairs, `strand_random` (N,) in [0, 1), one independent number a strand. Optional: `tone` (N,)
-    multiplies the amount of pigment, `bleached` (N,) in [0, 1] is how much less of it the tips
-    have, `dye` is a colour that begins `regrowth` (N,), a share of the strand, above the root.
+    hairs, `radial_roughness`, `strand_random` (N,) in [0, 1), one independent number a strand.
+    Optional: `tone` (N,) multiplies the amount of pigment, `bleached` (N,) in [0, 1] is how much
+    less of it the tips have, `dye` is a colour that begins `regrowth` (N,), a share of the strand,
+    above the root; dyed hair needs a `tone`.
     """
     p = piece.parameters
     chance = np.asarray(p["strand_random"], float)
@@ -31,7 +32,7 @@ def strand_colours(piece: StrandPiece) -> np.ndarray:
     bleached = np.asarray(p.get("bleached", 0.0))[..., None] * along**2
     amount = (amount[:, None] * (1 - 0.85 * bleached))[..., None]
     sigma = amount * ((1 - p["redness"]) * _EUMELANIN + p["redness"] * _PHEOMELANIN)
-    roughness = p.get("radial_roughness", 0.45)
+    roughness = p["radial_roughness"]
     width = 5.969 + roughness * (
         -0.215
         + roughness * (2.532 + roughness * (-10.73 + roughness * (5.574 + 0.245 * roughness)))
@@ -42,7 +43,7 @@ def strand_colours(piece: StrandPiece) -> np.ndarray:
     white = _WHITE * (0.7 + 0.3 * _fraction(chance * 13.0))[:, None, None]
     colour = colour + grey * (white - colour)
     if "dye" in p:
-        shade = np.asarray(p.get("tone", np.ones(len(chance))))[:, None, None]
+        shade = np.asarray(p["tone"])[:, None, None]
         dye = np.asarray(p["dye"]) ** np.clip(shade, 0.6, 1.6)
         covered = np.clip((along - p["regrowth"][:, None]) / 0.08 + 0.5, 0, 1)[..., None]
         colour = colour + covered * (dye - colour)

@@ -11,9 +11,8 @@ from __future__ import annotations
 from typing import Any
 
 import bpy
-import numpy as np
 
-from synthgen.stage import cloth_materials, eye_materials
+from synthgen.stage import cloth_materials, eye_and_mouth_materials, film_materials
 from synthgen.stage.nodes import Graph, Socket
 from synthgen.stage.shading import colour_of, new_material, write_labels
 
@@ -31,14 +30,14 @@ def hair(roughness: float, part: int) -> bpy.types.Material:
     return material
 
 
-def surface(kind: str, parameters: dict[str, Any], part: Socket) -> bpy.types.Material:
-    """The material of a mesh piece by its `material` key.
+def surface(kind: str, parameters: dict[str, Any]) -> bpy.types.Material:
+    """The material of a mesh piece by its `material` key; parts are labelled face by face.
 
     Raises:
         KeyError: no material of that kind.
     """
     material, graph = new_material(kind)
-    part = graph.scalar("part") if part is None else part
+    part = graph.scalar("part")
     shader, albedo = _SURFACES[kind](graph, parameters)
     graph.output(shader)
     if albedo is not None:  # else labels are of what is behind
@@ -63,34 +62,17 @@ def _metal(graph: Graph, parameters: dict[str, Any]) -> tuple[Any, Any]:
     return graph.node("BsdfPrincipled", inputs).outputs[0], colour
 
 
-def _shade(graph: Graph, parameters: dict[str, Any]) -> tuple[Any, Any]:
-    """A sunglass lens: absorbs less towards its lower edge, and may be coated with a mirror."""
-    height = graph.node("SeparateXYZ", {0: graph.attribute("UVMap").outputs["Vector"]}).outputs["Y"]
-    dark, light = 1.0 - parameters["tint"], 1.0 - parameters["tint"] * (1 - parameters["gradient"])
-    hue = np.array(parameters["lens"], float) / max(max(parameters["lens"]), 1e-6)
-    amount = graph.stretch(height, 0.15, 0.85, (0.0, 1.0))
-    upper, lower = (tuple(float(c) for c in share * hue) for share in (dark, light))
-    through = graph.mix(amount, lower, upper)
-    clear = graph.node("BsdfTransparent", {"Color": through}).outputs[0]
-    coat = tuple(float(c) for c in 0.4 + 0.6 * hue) if parameters["mirror"] else (1.0, 1.0, 1.0)
-    gloss = graph.node("BsdfGlossy", {"Color": coat, "Roughness": 0.03}).outputs[0]
-    fresnel = eye_materials.film_fresnel(graph, parameters.get("ior", 1.5))
-    thrown = graph.math("MAXIMUM", fresnel, parameters["mirror"])
-    shader = graph.node("MixShader", {0: thrown, 1: clear, 2: gloss}).outputs[0]
-    return shader, None
-
-
 _SURFACES = {
-    "eye": eye_materials.eye,
-    "cornea": eye_materials.clear,
-    "tear": eye_materials.clear,
-    "lens": eye_materials.clear,
-    "lid_shade": eye_materials.lid_shade,
-    "teeth": eye_materials.enamel,
-    "gums": eye_materials.mucosa,
-    "tongue": eye_materials.mucosa,
+    "eye": eye_and_mouth_materials.eye,
+    "cornea": film_materials.clear,
+    "tear": film_materials.clear,
+    "lens": film_materials.clear,
+    "lid_shade": eye_and_mouth_materials.lid_shade,
+    "teeth": eye_and_mouth_materials.enamel,
+    "gums": eye_and_mouth_materials.mucosa,
+    "tongue": eye_and_mouth_materials.mucosa,
     "cloth": cloth_materials.cloth,
     "plastic": _plastic,
-    "shade": _shade,
+    "shade": film_materials.shade,
     "metal": _metal,
 }

@@ -30,9 +30,9 @@ _F_NUMBER = 2.8
 def face_exposure(linear: np.ndarray, albedo: np.ndarray, parts: np.ndarray) -> float:
     """The factor that puts the face at its level in one picture.
 
-    `linear` (H, W, 4) premultiplied, `albedo` (H, W, 3) linear, `parts` (H, W). The meter reads the
-    skin, or all that is there where no skin is seen, weighting all pixels alike up to their 90th
-    percentile, so that highlights do not count.
+    `linear` (H, W, 4) and `albedo` (H, W, 3), linear, are premultiplied; `parts` (H, W). The meter
+    reads the skin, or all that is there where no skin is seen, weighting all pixels alike up to
+    their 90th percentile, so that highlights do not count.
     """
     face = np.isin(parts, (Part.SKIN, Part.NOSE))
     if face.sum() < 16:
@@ -94,8 +94,7 @@ def develop(
     `linear` (H, W, 3) premultiplied; `alpha` (H, W) in [0, 1]; `background` is linear radiance
     (H, W, 3) under the same exposure, or one display-referred colour in [0, 1], over which the
     picture is laid. `lens` and `rng`, for its grain, finish a picture of an environment. A
-    transparent
-    picture has straight alpha: its colour is the foreground's own.
+    transparent picture has straight alpha: its colour is the foreground's own.
     """
     light = exposure * linear
     coverage = alpha[..., None]

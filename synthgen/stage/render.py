@@ -131,7 +131,8 @@ def compose_shot(
     alpha = to_bytes(alpha).astype(np.float32) / 255
     for image in linear:
         image[..., 3] = alpha
-    surface = np.mean([np.concatenate(each[1:], axis=-1) for each in seen], axis=0)
+    planes = [np.concatenate([b.albedo, b.normal, b.coverage], axis=-1) for b in seen]
+    surface = np.mean(planes, axis=0)
     surface = photograph.mean_surface(surface[..., :-1], surface[..., -1:]) * alpha[..., None]
     labels = labels | {"albedo": surface[..., :3], "normal": surface[..., 3:]}
     colour = job.image.background_colour

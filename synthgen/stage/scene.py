@@ -30,7 +30,8 @@ Labels = dict[str, np.ndarray]
 """Label passes of one view by name, float32 but for `parts`; 0 in the background.
 
 `albedo` (H, W, 3) linear, `normal` (H, W, 3) unit, camera space (OpenGL axes), `canonical`
-(H, W, 3) and `depth` (H, W) in metres (planar), `uv` (H, W, 2), `parts` (H, W) uint8.
+(H, W, 3) and `depth` (H, W) in metres (planar), `uv` (H, W, 2), `parts` (H, W) uint8. Albedo and
+normal are of one point of each pixel; `render.compose_shot` puts `Beauty`'s means in their place.
 """
 
 

@@ -1,11 +1,10 @@
-"""What every material shares: its label passes, its colour from parameters, its textures."""
+"""What every material shares: its label passes, its colour from parameters."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import bpy
-import numpy as np
 
 from synthgen.stage.nodes import Graph, Socket
 
@@ -35,16 +34,3 @@ def write_labels(graph: Graph, shader: Socket, albedo: Socket, part: Socket) -> 
 
 def colour_of(parameters: dict[str, Any], default: tuple[float, float, float]) -> Any:
     return tuple(float(c) for c in parameters.get("colour", default))
-
-
-def texture(graph: Graph, pixels: np.ndarray) -> Any:
-    """A linear (H, W, 3) array, row 0 at the top, sampled by the mesh's texture coordinates."""
-    height, width = pixels.shape[:2]
-    image = bpy.data.images.new("texture", width, height, float_buffer=True)
-    image.colorspace_settings.name = "Linear Rec.709"
-    rgba = np.ones((height, width, 4), np.float32)
-    rgba[..., :3] = pixels[::-1]
-    image.pixels.foreach_set(rgba.ravel())
-    uv = graph.attribute("UVMap").outputs["Vector"]
-    node = graph.node("TexImage", {"Vector": uv}, image=image, interpolation="Cubic")
-    return node.outputs["Color"]

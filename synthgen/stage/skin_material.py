@@ -10,8 +10,7 @@ from assets_procedural.person import Skin
 from synthgen.stage.nodes import Socket
 from synthgen.stage.shading import new_material, write_labels
 
-DETAIL = "skin detail"
-"""Name of the image over the face, see `assets_procedural.skin_detail`."""
+_DETAIL = "skin detail"  # the image over the face, see `assets_procedural.skin_detail`
 
 # Jensen-style mean free paths of skin, relative to the red channel; the red one's length in
 # metres in the palest skin, and the share of it that the darkest loses to its melanin.
@@ -32,7 +31,7 @@ def skin(parameters: Skin) -> bpy.types.Material:
     place = graph.combine("ADD", graph.attribute("rest").outputs["Vector"], offset)
     detail = graph.node(
         "TexImage", {"Vector": graph.attribute("chart").outputs["Vector"]},
-        image=bpy.data.images[DETAIL], interpolation="Cubic", extension="CLIP",
+        image=bpy.data.images[_DETAIL], interpolation="Cubic", extension="CLIP",
     )  # fmt: skip
     pores = graph.scalar("pores")
 
@@ -98,9 +97,9 @@ def _tone(log_gain: np.ndarray) -> tuple[float, float, float]:
 def show_detail(picture: np.ndarray) -> None:
     """Make `picture` (H, W, 4), see `assets_procedural.skin_detail`, what the skin shows."""
     height, width = picture.shape[:2]
-    image = bpy.data.images.get(DETAIL)
+    image = bpy.data.images.get(_DETAIL)
     if image is None:
-        image = bpy.data.images.new(DETAIL, width, height, alpha=True, float_buffer=True)
+        image = bpy.data.images.new(_DETAIL, width, height, alpha=True, float_buffer=True)
         image.colorspace_settings.name = "Non-Color"
         image.alpha_mode = "CHANNEL_PACKED"
     image.pixels.foreach_set(np.ascontiguousarray(picture[::-1], np.float32).ravel())

@@ -44,7 +44,7 @@ def test_identity_counts_pairs_once(realism: ModuleType) -> None:
 
     different = [face("0", 0, 0, [1, 0]), face("1", 0, 0, [0, 1]), face("2", 0, 0, [0.6, 0.8])]
     same = [face("5", 0, 0, [1, 0]), face("5", 0, 1, [0.8, 0.6]), face("5", 1, 0, [0.6, 0.8])]
-    values = realism.measure_identity(different, same, Dlib()).values
+    values = realism.measure_identity(different, same, Dlib())
     assert values["SFace, different people: mean"] == pytest.approx((0 + 0.6 + 0.8) / 3)
     assert values["SFace, pairs above 0.363"] == pytest.approx(2 / 3)
     assert values["dlib, pairs below 0.6"] == 0

@@ -55,7 +55,8 @@ def test_a_job_accepts_the_new_style_and_no_other(copy: Path):
 def test_people_are_drawn_who_wear_the_new_style(copy: Path):
     code = (
         "import numpy as np\n"
-        "from assets_procedural.people.person_sampling import PeopleSettings, sample_person\n"
+        "from assets_procedural.people.people_settings import PeopleSettings\n"
+        "from assets_procedural.people.person_sampling import sample_person\n"
         "rng = np.random.default_rng(0)\n"
         "print(*(sample_person(rng, PeopleSettings()).hair.style for _ in range(1500)))"
     )

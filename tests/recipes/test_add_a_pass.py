@@ -138,8 +138,11 @@ def workshop(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path.write_text(text)
 
     path = folder / "synthgen" / "dataset" / "records.py"
-    text, count = re.subn(r"^FORMAT = .*\n", number, path.read_text(), flags=re.M)
-    assert count == 1
+    text = path.read_text()
+    for line in number.splitlines():
+        name = line.split(" = ")[0]
+        text, count = re.subn(rf"^{name} = .*$", line, text, flags=re.M)
+        assert count == 1
     path.write_text(text)
     return folder
 

@@ -158,6 +158,8 @@ def test_jobs_are_listed_with_their_size_and_purpose(synthgen: Synthgen) -> None
     lines = {line.split()[0]: line for line in synthgen("jobs").stdout.splitlines()}
     assert lines.keys() == {"job", *(path.stem for path in (ROOT / "render_jobs").glob("*.toml"))}
     assert lines["demo"].split()[1:5] == ["8", "60", "A", "first"]
+    # Its subsets share people.
+    assert lines["paper"].split()[1:3] == ["50,000", "2,000,000"]
 
 
 def test_a_shipped_job_goes_by_its_name(

@@ -8,7 +8,7 @@ stored pixels to those shown, for pictures and for the vectors of a normal map a
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -189,6 +189,32 @@ def read_video(
             else:
                 raise ValueError(f"{path.name} ends early: no frame {number} of {len(index.pts)}")
     return [pictures[number] for number in numbers], turn
+
+
+def play_video(path: Path, index: VideoIndex) -> Iterator[tuple[float, np.ndarray]]:
+    """All frames in their order: seconds, and (h, w, 3) uint8 upright with square pixels.
+
+    Raises:
+        ValueError, OSError, FFmpegError: a frame is damaged or missing.
+    """
+    wanted = iter(index.pts)
+    expected = next(wanted, None)
+    with av.open(str(path)) as container:
+        stream = container.streams[index.stream]
+        stream.codec_context.thread_count = 1  # as in `read_video`
+        played: Any = container.decode(stream)
+        for frame in played:
+            if expected is None:
+                return
+            if frame.pts is None or frame.pts < expected:
+                continue
+            if frame.pts > expected:
+                raise ValueError(f"{path.name}: the frame at {expected} ticks is damaged")
+            seconds = float(frame.pts * frame.time_base)
+            yield seconds, _display_turn(frame).pixels(_shown_colours(frame, stream))
+            expected = next(wanted, None)
+    if expected is not None:
+        raise ValueError(f"{path.name} ends early: no frame at {expected} ticks")
 
 
 def _shown_colours(frame: Any, stream: Any) -> np.ndarray:

@@ -191,7 +191,7 @@ class PortraitPairs(EndlessDataset[PortraitPair]):
     def _picture(self, light: Light, stored: dict[str, Any]) -> tuple[Tensor, bool]:
         """A shot's picture, before black if it is transparent; whether it is."""
         members = [stored[name] for name in light.members()]
-        shown = [shots.picture(member, self.side, self.shots.format) for member in members]
+        shown = [self.shots.picture(member, self.side) for member in members]
         return light.picture(shown), all(member.shape[-1] == 4 for member in members)
 
     def _lightmaps(self, meta: dict[str, Any], light: Light, frame: Tensor | None = None) -> Tensor:
@@ -220,7 +220,7 @@ class PortraitPairs(EndlessDataset[PortraitPair]):
         control = shots.control(stored["geometry"], origin)
         if self.warped:
             control = shots.neutral(control, meta, origin)
-        normal = shots.normals(stored["normal"], parts, side, self.shots.format)
+        normal = self.shots.normals(stored["normal"], parts, side)
         alpha = shots.alpha(stored["alpha"], side)
         image, transparent = self._picture(light, stored)
         relit = None
@@ -235,7 +235,7 @@ class PortraitPairs(EndlessDataset[PortraitPair]):
             foreground=image if transparent else alpha * image,
             background=torch.zeros_like(image),
             transparent=torch.tensor(transparent),
-            albedo=shots.albedo(stored["albedo"], stored["alpha"], side, self.shots.format),
+            albedo=self.shots.albedo(stored["albedo"], stored["alpha"], side),
             normal=(camera_to_world[:3, :3] @ normal.flatten(1)).view_as(normal),
             alpha=alpha,
             parts=shots.parts(parts, side),

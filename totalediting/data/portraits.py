@@ -117,7 +117,7 @@ class Portraits(EndlessDataset[Portrait]):
         stored = self.shots.read(item, name, "meta")
         frame = torch.tensor(stored["meta"]["camera"]["camera_to_world"])[:3, :3]
         maps = self.shots.lightmaps(stored["meta"], environment, self.rows, frame)
-        picture = shots.picture(stored[name], self.side, self.shots.format)
+        picture = self.shots.picture(stored[name], self.side)
         return picture, maps, torch.tensor(stored[name].shape[-1] == 4)
 
     def _labels(self, item: int) -> tuple[Tensor, ...]:
@@ -125,7 +125,7 @@ class Portraits(EndlessDataset[Portrait]):
         stored = self.shots.read(item, "normal", "alpha", "parts", "meta")
         parts, side = stored["parts"], self.side
         return (
-            shots.normals(stored["normal"], parts, side, self.shots.format),
+            self.shots.normals(stored["normal"], parts, side),
             shots.alpha(stored["alpha"], side),
             shots.parts(parts, side),
             shots.camera(stored["meta"], np.zeros(3), side)[1],

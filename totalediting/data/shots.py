@@ -20,11 +20,10 @@ from scipy import sparse
 from torch import Tensor
 
 from assets_procedural.body.head import HeadModel
-from assets_procedural.conventions import first_curve
-from assets_procedural.conventions.colour import display, srgb_decode, undisplay
+from assets_procedural.conventions.colour import display, srgb_decode
 from assets_procedural.motion.poses import ARKIT_NAMES, Pose
 from assets_procedural.person import Person
-from synthgen.dataset import FORMAT, FORMATS, open_dataset
+from synthgen.dataset import FORMAT, FORMATS, averaged, curve, open_dataset
 from totalediting.errors import InputError
 from totalediting.geometry.field import Control
 from totalediting.geometry.tracking import EXPRESSIONS, FILL, FOCAL_MM, Tracking
@@ -87,6 +86,18 @@ class Shots:
         path = self.dataset.folder.environment(use["id"])
         exposure = float(meta["exposures"][environment])
         return environment_lightmaps(path, height, float(use["rotation"]), exposure, frame)
+
+    def picture(self, stored: np.ndarray, side: int) -> Tensor:
+        """`picture` of these shots."""
+        return picture(stored, side, self.format)
+
+    def albedo(self, stored: np.ndarray, matte: np.ndarray, side: int) -> Tensor:
+        """`albedo` of these shots."""
+        return albedo(stored, matte, side, self.format)
+
+    def normals(self, stored: np.ndarray, labels: np.ndarray, side: int) -> Tensor:
+        """`normals` of these shots."""
+        return normals(stored, labels, side, self.format)
 
 
 def motion_code(meta: dict[str, Any]) -> Tensor:
@@ -171,24 +182,27 @@ def neutral(control: Control, meta: dict[str, Any], origin: np.ndarray) -> Contr
 def picture(stored: np.ndarray, side: int, format: int = FORMAT) -> Tensor:
     """(H, W, 3 | 4) uint8 to (3, side, side) in [0, 1]; a transparent picture is put on black.
 
-    Pictures of format 1, which had another curve, are shown with the present one.
+    Pictures of a format that had another curve are shown with the present one.
     """
     if stored.ndim != 3 or stored.shape[2] not in (3, 4):
         raise ValueError(f"a picture must be (H, W, 3 or 4), got {stored.shape}")
     shown = stored.astype(np.float32) / 255.0
-    if stored.shape[2] == 4 or format == 1:
-        linear = first_curve.undisplay if format == 1 else undisplay
-        shown = display(linear(shown[..., :3]) * (shown[..., 3:] if stored.shape[2] == 4 else 1))
+    made, transparent = curve(format), stored.shape[2] == 4
+    if transparent or made is not curve(FORMAT):
+        linear = made.undisplay(shown[..., :3])
+        shown = display(linear * (shown[..., 3:] if transparent else 1))
     return _to_tensor(area(shown, side)).clamp_(0.0, 1.0)
 
 
 def albedo(stored: np.ndarray, matte: np.ndarray, side: int, format: int = FORMAT) -> Tensor:
     """(H, W, 3) sRGB bytes to (3, side, side) linear, in [0, 1]: the mean of what is covered.
 
-    `matte` (H, W) bytes is `alpha`, which albedo is premultiplied by, but not in format 1.
+    `matte` (H, W) bytes is `alpha`, which albedo is premultiplied by where it is a mean.
     """
     mean = _to_tensor(area(_LINEAR[stored], side))
-    return (mean if format == 1 else mean / alpha(matte, side).clamp_min(1e-3)).clamp_(0.0, 1.0)
+    if averaged(format):
+        mean = mean / alpha(matte, side).clamp_min(1e-3)
+    return mean.clamp_(0.0, 1.0)
 
 
 def alpha(stored: np.ndarray, side: int) -> Tensor:
@@ -217,12 +231,12 @@ def over_surface(stored: np.ndarray, labels: np.ndarray, side: int) -> Tensor:
 def normals(stored: np.ndarray, labels: np.ndarray, side: int, format: int = FORMAT) -> Tensor:
     """(H, W, 3) to (3, side, side) unit normals in the frame they are stored in, the camera's.
 
-    0 where nothing is; in format 1 that is where `labels` (H, W) are 0.
+    0 where nothing is; where normals are no means, that is where `labels` (H, W) are 0.
     """
-    if format == 1:
-        mean = over_surface(stored, labels, side)
-    else:
+    if averaged(format):
         mean = _to_tensor(area(stored.astype(np.float32), side))
+    else:
+        mean = over_surface(stored, labels, side)
     return mean / mean.square().sum(0).sqrt().clamp_min(1e-6)
 
 

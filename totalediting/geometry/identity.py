@@ -22,7 +22,8 @@ from torch import Tensor
 from assets_procedural.body.head import HEAD_FILE, HeadModel
 from assets_procedural.body.landmarks import skin_weights
 from assets_procedural.conventions.files import cache_folder, replacing, sha256
-from assets_procedural.people.person_sampling import PeopleSettings, sample_person
+from assets_procedural.people.people_settings import PeopleSettings
+from assets_procedural.people.person_sampling import sample_person
 from assets_procedural.person import Person
 from totalediting.geometry.space import ORIGIN_LANDMARKS
 from totalediting.geometry.tracking import IDENTITY

@@ -84,13 +84,35 @@ def reframed(tracking: Tracking) -> Tracking:
     """
     rig, exact = _rig_of(tracking)
     axes = _axes(exact)
-    right, up, away = axes
     still = {
         name: torch.zeros_like(getattr(exact, name)) for name in ("expression", "gaze", "head")
     }
     rest = _box(rig, exact._replace(**still))
+    return _framed(rig, exact, _position(rest, axes, exact), tracking)
+
+
+@torch.no_grad()
+def framed(tracking: Tracking, position: Tensor) -> Tracking:
+    """`fill` and `shift` of a camera that stands at `position` (B, 3) in model space; the rest as
+    it is.
+
+    Raises:
+        ValueError: a field has another shape than a batch of `HeadTracker`'s.
+    """
+    rig, exact = _rig_of(tracking)
+    return _framed(rig, exact, position.double(), tracking)
+
+
+def constants(device: torch.device | None = None) -> _Rig:
+    """What moves the skin's vertices, on a device, the CPU by default."""
+    return _rig(device or torch.device("cpu"))
+
+
+def _framed(rig: _Rig, exact: Tracking, position: Tensor, tracking: Tracking) -> Tracking:
+    """`tracking` with `fill` and `shift` of a camera at `position`; `exact` is in doubles."""
+    right, up, away = _axes(exact)
     middle, height = _box(rig, exact)
-    off = _position(rest, axes, exact) - middle
+    off = position - middle
     frame = (off * away).sum(-1, keepdim=True) * SENSOR_MM / exact.focal_mm
     shift = torch.cat([(off * axis).sum(-1, keepdim=True) for axis in (right, up)], -1)
     return tracking._replace(

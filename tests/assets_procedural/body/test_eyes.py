@@ -11,7 +11,8 @@ from assets_procedural.body.head import HeadModel, Identity
 from assets_procedural.conventions.parts import Part
 from assets_procedural.mesh.subdivision import catmull_clark
 from assets_procedural.motion.poses import Pose
-from assets_procedural.people.person_sampling import PeopleSettings, sample_person
+from assets_procedural.people.people_settings import PeopleSettings
+from assets_procedural.people.person_sampling import sample_person
 from assets_procedural.person import Eyes, Person
 
 PERSON = Person(eyes=Eyes(iris=(0.1, 0.2, 0.35), redness=0.5, seed=3))

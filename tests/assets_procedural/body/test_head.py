@@ -25,7 +25,8 @@ from assets_procedural.body.head import (
 )
 from assets_procedural.body.regions import mirror
 from assets_procedural.motion.poses import ARKIT_NAMES, Pose
-from assets_procedural.people.person_sampling import PeopleSettings, sample_person
+from assets_procedural.people.people_settings import PeopleSettings
+from assets_procedural.people.person_sampling import sample_person
 from assets_procedural.person import Person
 
 RACES = ("african", "asian", "caucasian")

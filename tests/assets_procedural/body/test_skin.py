@@ -8,7 +8,8 @@ import pytest
 from assets_procedural.body.head import HeadModel
 from assets_procedural.body.regions import fields
 from assets_procedural.body.skin import reflectance, skin_fields
-from assets_procedural.people.person_sampling import PeopleSettings, sample_person
+from assets_procedural.people.people_settings import PeopleSettings
+from assets_procedural.people.person_sampling import sample_person
 from assets_procedural.person import Hair, Makeup, Person, Skin
 
 AMOUNTS = np.linspace(0, 1, 21)

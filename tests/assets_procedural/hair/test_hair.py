@@ -10,7 +10,7 @@ from assets_procedural.body.head import HeadModel, Identity
 from assets_procedural.body.piece import StrandPiece
 from assets_procedural.body.roots import sample_roots
 from assets_procedural.conventions.parts import Part
-from assets_procedural.hair import beards, facial_hair, scalp_hair
+from assets_procedural.hair import beards, brows_and_lashes, scalp_hair
 from assets_procedural.hair.draping import Surface
 from assets_procedural.hair.styles import STYLES
 from assets_procedural.mesh.vectors import smoothstep
@@ -125,7 +125,7 @@ def test_grey_is_a_share_of_white_strands(identity):
 
 
 def test_brows_ride_on_the_raised_skin(identity):
-    left, right = facial_hair.brows(Person(), identity, np.random.default_rng(1))
+    left, right = brows_and_lashes.brows(Person(), identity, np.random.default_rng(1))
     assert (left.part, right.part) == (Part.LEFT_BROW, Part.RIGHT_BROW)
     rest = left.place(identity.neutral)
     assert rest[..., 0].mean() > 0 > right.place(identity.neutral)[..., 0].mean()
@@ -136,7 +136,7 @@ def test_brows_ride_on_the_raised_skin(identity):
 
 
 def test_lashes_close_with_the_lids(identity):
-    (piece,) = facial_hair.lashes(Person(), identity, np.random.default_rng(1))
+    (piece,) = brows_and_lashes.lashes(Person(), identity, np.random.default_rng(1))
     open_, closed = (
         piece.place(bust)
         for bust in (

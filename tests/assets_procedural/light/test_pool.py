@@ -111,6 +111,14 @@ def test_sun_stands_where_the_parameters_say() -> None:
     assert direction @ [*sun, np.sin(elevation)] > np.cos(np.radians(3))
 
 
+def test_a_dusk_is_no_pink_world() -> None:
+    for seed in range(8):
+        drawn = sky_rand(np.random.default_rng(seed))
+        image = sky(drawn.model_copy(update={"sun_elevation": 2.0, "cloud_cover": 0.9}), 64)
+        mean = pano.texel_solid_angles(64) @ image.mean(axis=1)
+        assert mean.max() < 1.7 * mean.min(), mean  # up to 5 times without
+
+
 def test_low_sun_is_redder_and_dimmer_clear_sky_is_blue() -> None:
     up = np.array([0.0, 0.0, 1.0])
     light = [

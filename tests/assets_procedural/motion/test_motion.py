@@ -58,7 +58,7 @@ def test_no_contradictory_actions() -> None:
     rng = np.random.default_rng(0)
     at = {name: index for index, name in enumerate(ARKIT_NAMES)}
     for _ in range(300):
-        values = resolve(draw_mood(rng, WIDE)[1], ARKIT_NAMES)
+        values = resolve(draw_mood(rng, WIDE), ARKIT_NAMES)
         assert min(values[at["mouthLeft"]], values[at["mouthRight"]]) == 0.0
         for side in ("Left", "Right"):
             assert values[at["eyeBlink" + side]] + values[at["eyeWide" + side]] <= 1.0 + 1e-9

@@ -16,7 +16,7 @@ from assets_procedural.motion.poses import Pose
 from assets_procedural.outfit.accessories import accessories
 from assets_procedural.outfit.cloth import Sheet, border_loops, sheet_from_quads
 from assets_procedural.outfit.glasses import SHAPES
-from assets_procedural.outfit.headwear import _EDGES, above_rim
+from assets_procedural.outfit.headwear import EDGES, above_rim
 from assets_procedural.outfit.necklines import JACKETS, NECKLINES
 from assets_procedural.outfit.tops import covered_skin, wardrobe
 from assets_procedural.person import (
@@ -240,7 +240,7 @@ def test_earrings_hang_down_from_the_lobes(model):
         assert points[:, 0].mean() * side > 0.05
 
 
-@pytest.mark.parametrize("style", [*_EDGES])
+@pytest.mark.parametrize("style", [*EDGES])
 def test_hats_cover_the_scalp_and_nothing_else(model, style):
     hat = Hat(style=style)
     person = Person(hat=hat, phenotypes=MAN)

@@ -11,11 +11,11 @@ import pytest
 from pydantic import ValidationError
 
 from assets_procedural.hair.beard_styles import BEARDS
-from assets_procedural.hair.facial_hair import BROWS
+from assets_procedural.hair.brows_and_lashes import BROWS
 from assets_procedural.hair.styles import STYLES
 from assets_procedural.outfit.fabrics import FABRICS
 from assets_procedural.outfit.glasses import SHAPES
-from assets_procedural.outfit.headwear import _EDGES
+from assets_procedural.outfit.headwear import EDGES
 from assets_procedural.outfit.necklines import JACKETS, NECKLINES
 from assets_procedural.people.ages import age_group, phenotype_age
 from assets_procedural.people.ancestry import FAMILIES, GROUPS
@@ -117,7 +117,7 @@ def test_clothes_exist_and_are_varied(crowd: list[Person]) -> None:
     worn = [p.top.fabric for p in crowd] + [p.jacket.fabric for p in crowd if p.jacket]
     assert set(worn) == set(FABRICS)
     assert {p.glasses.shape for p in crowd if p.glasses} == set(SHAPES)
-    assert {p.hat.style for p in crowd if p.hat} == {*_EDGES, "headscarf"}
+    assert {p.hat.style for p in crowd if p.hat} == {*EDGES, "headscarf"}
     colours = np.array([p.top.colour for p in crowd])
     brightness, chroma = colours.mean(axis=1), np.ptp(colours, axis=1)
     # Wardrobes are mostly sober; few tops are vivid, many are dark, some are white.

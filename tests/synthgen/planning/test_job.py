@@ -150,6 +150,7 @@ BAD_VALUES = [
         "subsets.video={kind='video', subjects=3, environments=1, frames=1, people_of='multiview'}",
         'video.people_of = "multiview" has 2 subjects, fewer than 3; lower video.subjects',
     ),
+    ("subsets.multiview.moods=['smile']", 'kind = "multiview" has no moods; remove them'),
     ("splits={validation=0.6, test=0.6}", "splits: validation + test exceed 1; lower one"),
     ("subsets.multiview.environments=5", "environments = 5: the pool has only 3; lower it, or add"),
     ("samples", "--set: samples: write key=value, for example --set samples=8"),

@@ -138,6 +138,17 @@ def test_people_of_another_subset_are_the_same_and_in_the_same_split() -> None:
         assert ours.seed != other.seed and ours.poses[0] != other.poses[0]
 
 
+def test_named_moods_are_shown_in_turn_by_one_person() -> None:
+    job = make(videos=3).job
+    spec = job.subsets["video"].model_copy(update={"moods": ("surprised", "smile"), "frames": 4})
+    the_plan = Plan(job.model_copy(update={"subsets": {**job.subsets, "video": spec}}), POOL)
+    for subject in (the_plan.subject("video", index) for index in range(3)):
+        brows = [pose.expression.get("browInnerUp", 0.0) for pose in subject.poses]
+        smiles = [pose.expression.get("mouthSmileLeft", 0.0) for pose in subject.poses]
+        assert min(brows[0], brows[2]) > 0.5 > max(brows[1], brows[3])
+        assert min(smiles[1], smiles[3]) > 0.5 > max(smiles[0], smiles[2])
+
+
 def test_papers_video_people_are_among_the_multiview_people() -> None:
     the_plan = plan(load_job(JOBS / "paper.toml"))
     assert the_plan.person("video", 9_999) == the_plan.person("multiview", 9_999)

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import os
+import re
+import tomllib
 from pathlib import Path
 
 import pytest
+from pydantic import BaseModel
 
+from assets_procedural.settings import Settings
 from synthgen.errors import JobError
 from synthgen.planning import shipped_jobs as shipped
-from synthgen.planning.job import load_job
+from synthgen.planning.job import JobSpec, SubsetSpec, load_job
 
 ROOT = Path(__file__).parents[3]
 
@@ -29,6 +33,34 @@ def test_every_shipped_job_is_found_by_its_name() -> None:
 def test_every_shipped_job_says_what_it_is_for_in_a_line() -> None:
     for file in shipped.shipped_jobs().values():
         assert 10 < len(shipped.purpose(file)) < 110, file
+
+
+def _settings(table: type[BaseModel], before: str = "") -> set[str]:
+    """Dotted names of all settings of a job but for those of its subsets."""
+    names: set[str] = set()
+    for name, field in table.model_fields.items():
+        kind = field.annotation
+        if isinstance(kind, type) and issubclass(kind, Settings) and kind.model_fields:
+            names |= _settings(kind, f"{before}{name}.")
+        elif name != "subsets":
+            names.add(before + name)
+    return names
+
+
+def test_multiview_and_video_explain_every_setting(tmp_path: Path) -> None:
+    said: set[str] = set()
+    for name in ("multiview", "video"):
+        text = shipped.shipped_jobs()[name].read_text()
+        text = re.sub(r"^# (?=\[|\w+ += )", "", text, flags=re.MULTILINE)
+        read = tomllib.loads(text)
+        said |= {f"subsets.{setting}" for s in read["subsets"].values() for setting in s}
+        said |= {name for name in read if not isinstance(read[name], dict)}
+        said |= {f"{t}.{setting}" for t, v in read.items() if isinstance(v, dict) for setting in v}
+        job = tmp_path / "job.toml"
+        job.write_text(re.sub("^people_of.*", "", text, flags=re.MULTILINE))  # of no real subset
+        load_job(job)
+    known = _settings(JobSpec) | {f"subsets.{name}" for name in SubsetSpec.model_fields}
+    assert known <= said, known - said
 
 
 def test_a_file_of_that_name_comes_first() -> None:

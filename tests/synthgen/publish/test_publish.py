@@ -63,9 +63,26 @@ def test_card_has_configs_with_files(out: Path):
     assert "Apache-2.0" in text
 
 
+def test_people_that_subsets_share_are_counted_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    subsets = JOB.model_dump()["subsets"]
+    subsets["video"]["people_of"] = "multiview"
+    job = fake_renderer.small_job(subsets=subsets)
+    out = tmp_path / "out"
+    assert render_job(job, out, workers=1, renderer=fake_renderer.RENDERER).complete
+    said = "38 synthetic portraits of 5 people"
+    assert said in (out / "README.md").read_text()
+    assert json.loads((out / "croissant.json").read_text())["description"].startswith(said)
+    # s000001 fails in both subsets, s000004 is in one of them alone.
+    monkeypatch.setenv("TROUBLE", json.dumps({"s000001": "gate", "s000004": "gate"}))
+    out = tmp_path / "failed"
+    assert render_job(job, out, workers=1, renderer=fake_renderer.RENDERER).complete
+    assert " of 3 people at " in (out / "README.md").read_text()
+
+
 def test_one_of_a_kind_is_no_plural():
-    one = card.contents(Counts(subjects=1, shots=1, frames=1))
-    assert one == "1 synthetic portrait of 1 person"
+    assert card.contents(frames=1, people=1) == "1 synthetic portrait of 1 person"
     plan = PlannedSubset(kind="video", subjects=1, shots_per_subject=1, frames_per_subject=1)
     assert sheet.title("video", plan) == "video: 1 frame of a track under 1 environment"
     views = PlannedSubset(kind="multiview", subjects=1, shots_per_subject=2, frames_per_subject=2)

@@ -15,7 +15,8 @@ from assets_procedural.body.head import HeadModel
 from assets_procedural.body.landmarks import landmarks
 from assets_procedural.conventions.camera import CameraSample, resolve
 from assets_procedural.motion.poses import ARKIT_NAMES, Pose
-from assets_procedural.people.person_sampling import PeopleSettings, sample_person
+from assets_procedural.people.people_settings import PeopleSettings
+from assets_procedural.people.person_sampling import sample_person
 from assets_procedural.person import Person
 from synthgen.farm.local import render_job
 from totalediting.data import portraits, shots

@@ -13,7 +13,8 @@ from assets_procedural.body.landmarks import landmarks
 from assets_procedural.conventions import camera
 from assets_procedural.conventions.camera import CameraSample
 from assets_procedural.motion.poses import ARKIT_NAMES, Pose, PoseSettings, sample_pose
-from assets_procedural.people.person_sampling import PeopleSettings, sample_person
+from assets_procedural.people.people_settings import PeopleSettings
+from assets_procedural.people.person_sampling import sample_person
 from synthgen.stage.geometry import control_geometry, frame_of_head
 from totalediting.geometry.field import check_control
 from totalediting.geometry.identity import identity_basis

@@ -11,6 +11,9 @@ from assets_procedural.body.piece import MeshPiece, rigid
 from assets_procedural.conventions.parts import Part
 from assets_procedural.mesh.sweep import shell, tube_faces
 from assets_procedural.mesh.vectors import arctan2, smoothstep, unit
+from assets_procedural.outfit.cloth import smooth_ring
+from assets_procedural.outfit.fabrics import cloth_look
+from assets_procedural.outfit.garment import no_seams
 from assets_procedural.person import Hat
 
 _AROUND = 96
@@ -47,7 +50,7 @@ BRIMMED = {
         ((0, 0), (0.03, -0.004), (0.07, -0.014), (0.105, -0.026)), "cable", True, 0.0, 0.006,
     ),
 }  # fmt: skip
-"""Hats by name."""
+"""Brimmed hats by name."""
 
 
 def brimmed(wearing: Hat, scalp: np.ndarray, edge: np.ndarray) -> list[MeshPiece]:
@@ -61,8 +64,7 @@ def brimmed(wearing: Hat, scalp: np.ndarray, edge: np.ndarray) -> list[MeshPiece
     ring = np.stack(
         [np.interp(angles, turn[order], edge[order, k], period=2 * np.pi) for k in range(3)], axis=1
     )
-    for _ in range(12):  # a stiff edge is an even oval
-        ring = 0.5 * ring + 0.25 * (np.roll(ring, 1, axis=0) + np.roll(ring, -1, axis=0))
+    ring = smooth_ring(ring, 12)  # a stiff edge is an even oval
     out = unit((ring - middle) * [1, 1, 0])
     spare = np.einsum("ni,ni->n", ring - middle, out)
     # As wide as the widest part of the head above the edge asks for.
@@ -97,10 +99,7 @@ def brimmed(wearing: Hat, scalp: np.ndarray, edge: np.ndarray) -> list[MeshPiece
     brim += over[..., None] * out
     brim[..., 2] += fall + dip + shape.wavy * wave * along[:, None]
 
-    look = {
-        "colour": wearing.colour, "accent": wearing.accent, "pattern": wearing.pattern,
-        "weave": shape.weave, "roughness": 0.9,
-    }  # fmt: skip
+    look = cloth_look(wearing, shape.weave, 0.9)
     radius = float(np.linalg.norm(ring - middle, axis=1).mean())
     index = np.arange(crown[..., 0].size).reshape(len(steps), _AROUND)
     around = np.broadcast_to(angles * radius, index.shape)
@@ -113,7 +112,7 @@ def brimmed(wearing: Hat, scalp: np.ndarray, edge: np.ndarray) -> list[MeshPiece
         ("hat_brim", points, faces, wide_uv, look),
     ]
     if shape.ribbon:
-        band = crown[1:9:1] + 0.0012 * out
+        band = crown[1:9] + 0.0012 * out
         points, faces = shell(np.swapaxes(band, 0, 1), 0.0008, closed=True)
         trim = {**look, "colour": wearing.accent, "weave": "satin", "pattern": "plain"}
         parts.append(("hat_ribbon", points, faces, points[:, [0, 2]], trim))
@@ -126,7 +125,7 @@ def brimmed(wearing: Hat, scalp: np.ndarray, edge: np.ndarray) -> list[MeshPiece
             rigid("head", points),
             parameters,
             uv[faces],
-            {"seams": np.ones((len(points), 3))},
+            {"seams": no_seams(points)},
         )
         for name, points, faces, uv, parameters in parts
     ]

@@ -1,11 +1,14 @@
-"""Eyes and mouth: eyeball, clear films, teeth, gums and tongue. Lenses of glasses are clear too."""
+"""Eyes and mouth: eyeball, the shade of the lids, teeth, gums and tongue."""
 
 from __future__ import annotations
 
 from typing import Any
 
+import bpy
+import numpy as np
+
 from synthgen.stage.nodes import Graph
-from synthgen.stage.shading import colour_of, texture
+from synthgen.stage.shading import colour_of
 
 _IRIS_GAIN = 1.7
 # What little light gets under the lids has been reflected by skin.
@@ -13,7 +16,7 @@ _LID_SHADE = (0.30, 0.19, 0.15)
 
 
 def eye(graph: Graph, parameters: dict[str, Any]) -> tuple[Any, Any]:
-    colour = texture(graph, parameters["texture"])
+    colour = _texture(graph, parameters["texture"])
     # The cornea bends light onto the iris, which no straight ray does; the sclera curves away into
     # the shade of the lids. The label keeps the pigment.
     limbus = parameters["iris_angle"]
@@ -39,29 +42,6 @@ def lid_shade(graph: Graph, _: dict[str, Any]) -> tuple[Any, Any]:
     return graph.node("BsdfTransparent", {"Color": tint}).outputs[0], None
 
 
-def clear(graph: Graph, parameters: dict[str, Any]) -> tuple[Any, Any]:
-    """A thin clear film: what is behind it, a Fresnel highlight, no refraction and no shadow."""
-    tint = max(0.0, 1.0 - parameters.get("tint", 0.0))
-    through = graph.node("BsdfTransparent", {"Color": (tint, tint, tint)})
-    gloss = graph.node("BsdfGlossy", {"Roughness": parameters.get("roughness", 0.02)})
-    fresnel = film_fresnel(graph, parameters.get("ior", 1.376))
-    lit = graph.node("MixShader", {0: fresnel, 1: through.outputs[0], 2: gloss.outputs[0]})
-    # What lies behind gets the same light whether Cycles samples the light or the surface.
-    path = graph.node("LightPath")
-    gather = graph.math("MAXIMUM", path.outputs["Is Shadow Ray"], path.outputs["Is Diffuse Ray"])
-    clear = graph.node("MixShader", {0: gather, 1: lit.outputs[0], 2: through.outputs[0]})
-    return clear.outputs[0], None
-
-
-def film_fresnel(graph: Graph, ior: float) -> Any:
-    """The share of light that a thin film reflects."""
-    # The Fresnel node inverts the index on back faces: light that leaves the film would be
-    # reflected totally. Nothing is refracted here, so both sides reflect alike.
-    back = graph.node("NewGeometry").outputs["Backfacing"]
-    index = graph.math("ADD", graph.math("MULTIPLY", back, 1 / ior - ior), ior)
-    return graph.node("Fresnel", {"IOR": index}).outputs[0]
-
-
 def enamel(graph: Graph, parameters: dict[str, Any]) -> tuple[Any, Any]:
     tone = graph.attribute("tone").outputs["Color"]
     colour = graph.mix(1.0, colour_of(parameters, (0.72, 0.66, 0.54)), tone, "MULTIPLY")
@@ -79,3 +59,16 @@ def mucosa(graph: Graph, parameters: dict[str, Any]) -> tuple[Any, Any]:
         "Subsurface Scale": 0.003, "Coat Weight": 0.25, "Coat Roughness": 0.15,
     })  # fmt: skip
     return shader.outputs[0], colour
+
+
+def _texture(graph: Graph, pixels: np.ndarray) -> Any:
+    """A linear (H, W, 3) array, row 0 at the top, sampled by the mesh's texture coordinates."""
+    height, width = pixels.shape[:2]
+    image = bpy.data.images.new("texture", width, height, float_buffer=True)
+    image.colorspace_settings.name = "Linear Rec.709"
+    rgba = np.ones((height, width, 4), np.float32)
+    rgba[..., :3] = pixels[::-1]
+    image.pixels.foreach_set(rgba.ravel())
+    uv = graph.attribute("UVMap").outputs["Vector"]
+    node = graph.node("TexImage", {"Vector": uv}, image=image, interpolation="Cubic")
+    return node.outputs["Color"]

@@ -7,8 +7,9 @@ import pytest
 
 from assets_procedural.body.head import HeadModel, Identity
 from assets_procedural.body.landmarks import landmarks
-from assets_procedural.hair import facial_hair
-from assets_procedural.people.person_sampling import PeopleSettings, sample_person
+from assets_procedural.hair import brows_and_lashes
+from assets_procedural.people.people_settings import PeopleSettings
+from assets_procedural.people.person_sampling import sample_person
 from assets_procedural.person import Brows, Person
 
 
@@ -17,7 +18,9 @@ def brow_figures(person: Person, identity: Identity) -> tuple[float, float]:
 
     In distances between the outer corners of the eyes.
     """
-    roots = facial_hair.brows(person, identity, np.random.default_rng(0))[0].place(identity.neutral)
+    roots = brows_and_lashes.brows(person, identity, np.random.default_rng(0))[0].place(
+        identity.neutral
+    )
     x, z = roots[:, 0, 0], roots[:, 0, 2]
     low, high = np.quantile(x, [0.02, 0.98])
     along = (x - low) / (high - low)
@@ -43,15 +46,15 @@ def test_families_of_brows_differ():
 
     def look(style: str) -> tuple[float, float, int]:
         person = Person(brows=Brows(style=style))
-        left = facial_hair.brows(person, identity, np.random.default_rng(0))[0]
+        left = brows_and_lashes.brows(person, identity, np.random.default_rng(0))[0]
         roots = left.place(identity.neutral)[:, 0]
         x = (roots[:, 0] - roots[:, 0].min()) / np.ptp(roots[:, 0])
         peak, ends = (roots[m, 2].mean() for m in ((x > 0.5) & (x < 0.7), (x < 0.2) | (x > 0.85)))
         return float(peak - ends), float(np.ptp(roots[:, 2])), len(roots)
 
-    seen = {style: look(style) for style in facial_hair.BROWS}
+    seen = {style: look(style) for style in brows_and_lashes.BROWS}
     assert seen["arched"][0] > seen["natural"][0] > seen["flat"][0]
     assert seen["bushy"][2] > 1.2 * seen["natural"][2] > 2 * seen["sparse"][2]
     assert seen["thin"][2] < seen["natural"][2]
     with pytest.raises(KeyError, match="known: natural"):
-        facial_hair.brows(Person(brows=Brows(style="no")), identity, np.random.default_rng(0))
+        brows_and_lashes.brows(Person(brows=Brows(style="no")), identity, np.random.default_rng(0))

@@ -17,7 +17,7 @@ from assets_procedural.body.roots import Roots, SkinBound, sample_roots
 from assets_procedural.conventions.parts import Part
 from assets_procedural.hair.strands import clump, locks, tapered, wander
 from assets_procedural.hair.tones import colouring
-from assets_procedural.mesh.vectors import smoothstep, unit
+from assets_procedural.mesh.vectors import across, smoothstep, unit
 from assets_procedural.person import Person
 
 # Brow: distance from the middle (m) → height of its axis in template space, half width.
@@ -25,6 +25,8 @@ _BROW_X = np.array([0.009, 0.016, 0.024, 0.032, 0.039, 0.046, 0.054])
 _BROW_Z = np.array([0.7464, 0.7465, 0.7467, 0.7469, 0.7469, 0.7455, 0.7418])
 _BROW_HALF = np.array([0.0042, 0.0046, 0.0045, 0.0040, 0.0033, 0.0024, 0.0011])
 _BROW_MIDDLE, _BROW_PEAK = 0.030, 0.038
+# Brows bend back to this height over the skin, metres.
+_HUG = 0.0006
 
 
 @dataclass(frozen=True)
@@ -88,13 +90,13 @@ def brows(person: Person, identity: Identity, rng: np.random.Generator) -> list[
         shift, tilt = look.normal(0, 0.0005), look.normal(0, 0.015)
         ragged = look.normal(0, 0.12, 12)
 
-        def across(points: np.ndarray, sign=sign, shift=shift, tilt=tilt) -> tuple:
+        def placed(points: np.ndarray, sign=sign, shift=shift, tilt=tilt) -> tuple:
             x = sign * points[:, 0]
             centre = np.interp(x, x_axis, axis) + shift + tilt * (x - _BROW_MIDDLE)
             return x, (points[:, 2] - centre) / np.interp(x, x_axis, half)
 
-        def density(points: np.ndarray, roots: Roots, across=across, ragged=ragged) -> np.ndarray:
-            x, v = across(points)
+        def density(points: np.ndarray, roots: Roots, placed=placed, ragged=ragged) -> np.ndarray:
+            x, v = placed(points)
             v = v + np.interp(x, np.linspace(x_axis[0], x_axis[-1], len(ragged)), ragged)
             # The lower edge is the cleaner one; stray hairs grow around both.
             body = smoothstep(1.3, 0.35, v) * smoothstep(-1.15, -0.45, v)
@@ -109,7 +111,7 @@ def brows(person: Person, identity: Identity, rng: np.random.Generator) -> list[
         count = int((260 + 480 * wearing.density) * thick * style.density * style.width**0.5)
         roots = sample_roots(identity, density, count, rng)
         count = len(roots)
-        x, v = across(roots.of(identity.model.template))
+        x, v = placed(roots.of(identity.model.template))
         along = np.clip((x - x_axis[0]) / (x_axis[-1] - x_axis[0]), 0, 1)
         # Up at the nose, then outward; the upper rows lean down and the lower ones up.
         angle = np.interp(along, [0, 0.1, 0.25, 0.5, 0.75, 1], [84, 68, 40, 17, -6, -30])
@@ -120,7 +122,7 @@ def brows(person: Person, identity: Identity, rng: np.random.Generator) -> list[
         down = rng.random(count) < 0.35
         length = style.length * rng.uniform(0.0045, 0.0085, count) * (1 - 0.4 * along**2)
         length = length * np.where(down, 0.55, 1) * (0.8 + 0.4 * half.max() / _BROW_HALF.max())
-        strands = _lying(identity, roots, flow, length, 6, lift=0.3, hug=0.0006)
+        strands = _lying(identity, roots, flow, length, 6, lift=0.3)
         strands = _locked(strands, 5, 0.25, rng)
         strands = wander(strands, 0.00025 * style.unruly, rng)
         radius = tapered(count, 6, 4.4e-5, 1.0e-5, rng)
@@ -205,25 +207,20 @@ def _lying(
     length: np.ndarray,
     points: int,
     lift: float,
-    hug: float,
 ) -> np.ndarray:
-    """Strands (N, points, 3) that leave the skin by `lift` and then follow `flow` (N, 3) along it.
+    """Strands (N, points, 3) that run along the skin towards `flow` (N, 3), close above it.
 
-    `lift` is the sine-like share of the normal at the root; `hug` > 0 pulls the strand down to
-    that height (metres) above the root's tangent plane.
+    They leave it by the share `lift` of its normal and bend back to `_HUG` above the plane that
+    touches it at the root.
     """
     normal = unit(roots.of(identity.neutral.normals))
-    along_skin = unit(flow - normal * (flow * normal).sum(-1, keepdims=True))
-    heading = unit(along_skin * (1 - lift) + normal * lift)
+    heading = unit(across(flow, normal) * (1 - lift) + normal * lift)
     step = (length / (points - 1))[:, None]
     start = roots.of(identity.rest)
     point, path = start, [start]
     for _ in range(points - 1):
         point = point + step * heading
         height = ((point - start) * normal).sum(-1, keepdims=True)
-        if hug > 0:
-            heading = unit(heading + normal * np.clip((hug - height) / hug, -1, 0) * 0.6)
-        else:
-            heading = unit(heading + 0.2 * flow)
+        heading = unit(heading + normal * np.clip((_HUG - height) / _HUG, -1, 0) * 0.6)
         path.append(point)
     return np.stack(path, axis=1)

@@ -1,0 +1,1 @@
+"""Using the model on photographs and clips."""
