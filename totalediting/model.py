@@ -275,7 +275,9 @@ class TotalEditing(nn.Module):
                 points = field.position
                 if self.preset.rotation != "none":
                     turned = field.to_posed
-            features = shading_features(planes.shading.float(), planes.shown, points)
+            shown = planes.shown
+            relief = shown.sheet.relief.float()
+            features = shading_features(planes.shading.float(), relief, points, shown(points))
             shading = self.decoders.shading(
                 features, turned, view, lightmaps.float(), to_light.float()
             )

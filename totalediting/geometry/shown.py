@@ -33,6 +33,8 @@ from totalediting.light.phong import display, undisplay
 SIGHT = 10
 """Channels of one candidate: colour and unlit colour (display-referred), coverage, how squarely
 the camera sees it, how well it is seen in all, and how far it lies behind the nearest skin."""
+COVERAGE = 6
+"""The one of coverage."""
 PIXEL = 8
 """Channels of `Sheet.seen`."""
 _GRID = 64, 128  # sides of the bust's view, for pictures up to twice the first, and beyond
@@ -55,7 +57,7 @@ class Sheet(NamedTuple):
     intrinsics: Tensor
     """(B, 3, 3) for side S."""
     relief: Tensor
-    """(B, 2, n, n) of the bust to show, at rest, see `relief`."""
+    """(B, 8, n, n) of the bust to show, at rest, see `relief`."""
 
     @property
     def seen(self) -> Tensor:

@@ -18,9 +18,10 @@ from torch.utils.checkpoint import checkpoint
 
 from totalediting.geometry import volume
 from totalediting.geometry.field import Field
+from totalediting.geometry.relief import skin_normal
 from totalediting.geometry.space import box, on_planes
 from totalediting.networks.decoders import Decoders, Shading, ToPosed
-from totalediting.networks.density import density, full
+from totalediting.networks.density import Looks, Volume, density, full
 from totalediting.presets import Preset
 
 AROUND = 0.03
@@ -28,8 +29,6 @@ AROUND = 0.03
 BEFORE, BEHIND = 0.15, 0.2
 """Metres before and behind it where a ray begins and ends: hair and clothes are not thicker."""
 
-Looks = Callable[[Tensor], Tensor]
-"""What the source shows of canonical points (B, N, 3): (B, N, L), see `shown.Shown`."""
 Deformation = Callable[[Tensor], Field]
 """T and R at points (B, P, 3) of posed space: a `field.Table`, or any other callable like it."""
 
@@ -95,7 +94,7 @@ def render(
 
     Args:
         geometry_planes, shading_planes: (B, 3, C, H, W), see `volume.triplane`.
-        relief: (B, 2, n, n) of the bust at rest, see `relief`.
+        relief: (B, 8, n, n) of the bust at rest, see `relief`.
         shown: what the source shows of canonical points.
         decoders: `geometry` and `shading`.
         camera_to_world: (B, 4, 4) into model space.
@@ -179,9 +178,10 @@ def render(
     )
 
 
-def shading_features(planes: Tensor, shown: Looks, points: Tensor) -> Tensor:
-    """t_shd (B, N, C + L) at canonical points (B, N, 3)."""
-    return torch.cat([volume.triplane(planes, on_planes(points)), shown(points)], -1)
+def shading_features(planes: Tensor, relief: Tensor, points: Tensor, seen: Tensor) -> Tensor:
+    """t_shd (B, N, C + 3 + L) at canonical points (B, N, 3), of which the source shows `seen`."""
+    places = on_planes(points)
+    return torch.cat([volume.triplane(planes, places), skin_normal(relief, places), seen], -1)
 
 
 class _Subject(NamedTuple):
@@ -231,8 +231,9 @@ class _Integrals(NamedTuple):
     canonical_normals: Tensor
 
 
-def _decode(subject: _Subject, rays: _Rays) -> tuple[Tensor, Tensor, ToPosed]:
-    """Weights (B, R, S) and canonical points (B, R * S, 3) of samples; what turns normals there."""
+def _decode(subject: _Subject, rays: _Rays) -> tuple[Tensor, Tensor, Tensor, ToPosed]:
+    """Weights (B, R, S) and canonical points (B, R * S, 3) of samples, what the source shows of
+    them, and what turns normals there."""
     points = volume.along(rays.origins, rays.directions, rays.distances).flatten(1, 2)
     to_posed: ToPosed = _unturned
     if subject.deformation is not None:
@@ -240,15 +241,18 @@ def _decode(subject: _Subject, rays: _Rays) -> tuple[Tensor, Tensor, ToPosed]:
         points = deformed.position
         if subject.turned:
             to_posed = deformed.to_posed
-    sigma = density(subject.geometry_planes, subject.relief, subject.decoders.geometry, points)
+    seen = subject.shown(points)
+    geometry = subject.decoders.geometry
+    of = Volume(subject.geometry_planes, subject.relief, subject.shown, geometry)
+    sigma = density(of, points, seen)
     sigma = sigma.view_as(rays.distances)
     weights = volume.quadrature(sigma, rays.distances, rays.near, rays.far)
-    return weights, points, to_posed
+    return weights, points, seen, to_posed
 
 
 def _integrate(subject: _Subject, rays: _Rays) -> _Integrals:
-    weights, points, to_posed = _decode(subject, rays)
-    features = shading_features(subject.shading_planes, subject.shown, points)
+    weights, points, looks, to_posed = _decode(subject, rays)
+    features = shading_features(subject.shading_planes, subject.relief, points, looks)
     samples = rays.distances.shape[1:]
     view = -rays.directions[:, :, None].expand(-1, -1, samples[1], -1).flatten(1, 2)
     shading: Shading = subject.decoders.shading(

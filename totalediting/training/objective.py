@@ -16,11 +16,11 @@ from torch.nn import functional
 
 from totalediting.data.pairs import PortraitPair
 from totalediting.model import Edit, TotalEditing, Window
-from totalediting.networks.density import density_jitter, density_normals
+from totalediting.networks.density import Volume, density_jitter, density_normals
 from totalediting.presets import Preset
 from totalediting.training import losses
 
-_TV_POINTS, _NORMAL_POINTS = 1000, 4096
+_TV_POINTS, _NORMAL_POINTS = 1000, 1024
 
 
 class Truth(NamedTuple):
@@ -138,9 +138,10 @@ def terms(
         found["surface"] = losses.surface_loss(
             rendering.weights, rendering.points, place.flatten(2).mT, wholly.flatten(1)
         )
-    volume = edit.planes.geometry, edit.planes.shown.sheet.relief, model.decoders.geometry
+    planes, shown = edit.planes.geometry, edit.planes.shown
+    volume = Volume(planes, shown.sheet.relief, shown, model.decoders.geometry)
     if factors["tv"]:
-        found["tv"] = losses.tv_loss(*density_jitter(*volume, _TV_POINTS, generator))
+        found["tv"] = losses.tv_loss(*density_jitter(volume, _TV_POINTS, generator))
     if factors["density_normal"] and decomposed:
         batch_size, device = len(rendering.weights), rendering.weights.device
         count = rendering.weights[0].numel()
@@ -150,6 +151,6 @@ def terms(
             for a in (rendering.points, rendering.canonical_normals, rendering.weights)
         )
         with torch.no_grad():
-            facing = density_normals(*volume, points)
+            facing = density_normals(volume, points)
         found["density_normal"] = losses.density_normal_loss(normals, facing, weights[..., 0])
     return found

@@ -11,7 +11,7 @@ from totalediting.geometry import bust_view, shown
 from totalediting.geometry.field import Control, Table, tabulate
 from totalediting.geometry.moving_least_squares import mls
 from totalediting.geometry.projection import project, unproject
-from totalediting.geometry.relief import inside, relief_of
+from totalediting.geometry.relief import inside, relief_of, skin_normal
 from totalediting.geometry.shown import SIGHT, Shown, colour_of, on_front, sheet_of
 from totalediting.geometry.source import Source
 from totalediting.geometry.space import box, on_planes
@@ -215,6 +215,18 @@ def test_the_relief_is_where_the_skin_is() -> None:
     at = torch.tensor([[0.0, 0, 0], [0, -0.095, 0], [0, -0.115, 0], [0, 0.115, 0], [0.15, 0, 0]])
     depth = inside(relief, on_planes(at)[None])[0]
     assert (depth > 0).tolist() == [True, True, False, False, False]
+
+
+def test_normals_of_the_relief_are_those_of_the_skin() -> None:
+    """Front and back, on the skin as well as before and behind it."""
+    control = ball(0.6)
+    relief = relief_of(control.canonical, control.canonical_normals)
+    away = functional.normalize(control.canonical[0], dim=-1)
+    away = away[away[:, 1].abs() > 0.4]
+    for factor in (0.9, 1.0, 1.05):
+        at = on_planes(factor * RADIUS * away[None])
+        cosine = (skin_normal(relief, at)[0] * away).sum(-1)
+        assert cosine.mean() > 0.99 and cosine.min() > 0.85, factor
 
 
 def test_all_is_finite_also_without_skin_in_sight() -> None:

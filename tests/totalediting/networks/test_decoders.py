@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from totalediting.geometry import volume
-from totalediting.geometry.shown import SIGHT
+from totalediting.geometry.shown import COVERAGE, SIGHT
 from totalediting.light import phong
 from totalediting.light.lightmaps import bake
 from totalediting.networks import decoders
@@ -50,14 +50,15 @@ def lightmaps(seed: int = 0) -> Tensor:
 
 
 def features(seed: int = 0) -> Tensor:
-    return torch.randn(B, N, TINY.plane_channels + SHOWN, generator=seeded(seed))
+    return torch.randn(B, N, TINY.plane_channels + 3 + SHOWN, generator=seeded(seed))
 
 
-def of_geometry(seed: int = 0) -> tuple[Tensor, Tensor]:
-    """t_geo, and how far points are inside the skin."""
+def of_geometry(seed: int = 0) -> tuple[Tensor, Tensor, Tensor]:
+    """t_geo, how far points are inside the skin, and what the source shows."""
     generator = seeded(seed)
     inside = 0.02 * torch.randn(B, N, generator=generator)
-    return torch.randn(B, N, TINY.plane_channels, generator=generator), inside
+    features = torch.randn(B, N, TINY.plane_channels, generator=generator)
+    return features, inside, 2 * torch.rand(B, N, SHOWN, generator=generator) - 1
 
 
 def same(directions: Tensor) -> Tensor:
@@ -98,18 +99,25 @@ def test_density_is_positive_and_follows_the_last_layer() -> None:
     with torch.no_grad():
         last.weight.zero_()
         last.bias.fill_(41.0)
-    features, inside = of_geometry()
-    full = DENSITY_SCALE * (40.0 + decoders.FULL * torch.sigmoid(inside / decoders.SKIN))
-    torch.testing.assert_close(decoder(features, inside), full)
+    features, inside, seen = of_geometry()
+    skin, bare = torch.sigmoid(inside / decoders.SKIN), (1 - seen[..., COVERAGE]) / 2
+    full = DENSITY_SCALE * (40.0 + decoders.FULL * skin - decoders.CLEAR * (1 - skin) * bare)
+    torch.testing.assert_close(decoder(features, inside, seen), full)
 
 
 def test_a_fresh_volume_is_the_skin_in_a_translucent_fog() -> None:
     torch.manual_seed(0)
     decoder = GeometryDecoder(TINY)
     features = torch.randn(1, 4096, TINY.plane_channels)
-    outside, inside = (decoder(features, torch.full((1, 4096), i)) for i in (-1.0, 1.0))
-    blank = decoder(torch.zeros(1, 1, TINY.plane_channels), torch.zeros(1, 1)).item()
-    fog = decoders.FRESH + decoders.FULL / 2  # on the skin, of which nothing is known
+    seen = 2 * torch.rand(1, 4096, SHOWN) - 1
+    seen[..., COVERAGE] = 1
+    outside, inside = (decoder(features, torch.full((1, 4096), i), seen) for i in (-1.0, 1.0))
+    seen[..., COVERAGE] = -1
+    bare = decoder(features, torch.full((1, 4096), -1.0), seen)
+    assert 1.0 - math.exp(-0.6 * bare.mean().item()) < 0.01, "none beside what the source covers"
+    none = torch.zeros(1, 1, SHOWN)
+    blank = decoder(torch.zeros(1, 1, TINY.plane_channels), torch.zeros(1, 1), none).item()
+    fog = decoders.FRESH + decoders.FULL / 2 - decoders.CLEAR / 4  # on the skin, half covered
     assert blank == pytest.approx(DENSITY_SCALE * math.log1p(math.exp(fog - 1.0)), rel=1e-5)
     assert 0.1 < 1.0 - math.exp(-0.6 * outside.mean().item()) < 0.8
     assert (1.0 - (-0.015 * inside).exp()).min() > 0.9, "within 15 mm"
@@ -121,7 +129,8 @@ def test_a_fresh_surface_is_matt_and_has_no_residual() -> None:
     assert (shading.k_d - 1.0).abs().max() < 0.05
     assert (shading.k_s - decoders.FRESH_SPECULAR).abs().max() < 0.02
     assert not shading.residual.any()
-    assert (shading.canonical_normal[..., 1] < 0).float().mean() > 0.5, "faces look along -Y"
+    skin = functional.normalize(features()[..., -SHOWN - 3 : -SHOWN], dim=-1)
+    torch.testing.assert_close(shading.canonical_normal, skin)
 
 
 def test_shapes_and_ranges(decoder: ShadingDecoder) -> None:
@@ -235,7 +244,7 @@ def test_fresh_colour_is_the_sources(kind: type[nn.Module], first: int, mirrored
     torch.manual_seed(0)
     given = features()
     shown = torch.rand(B, N, 3, generator=seeded(3)) * 0.6 + 0.2
-    told = given[..., TINY.plane_channels :].unflatten(-1, (2, -1))
+    told = given[..., -SHOWN:].unflatten(-1, (2, -1))
     told[..., :6] = torch.rand(B, N, 2, 6, generator=seeded(4))
     told[..., SIGHT - 2] = -1.0
     told[..., int(mirrored), SIGHT - 2] = 1.0
@@ -273,7 +282,10 @@ def test_presets(preset: Preset) -> None:
     with torch.device("meta"):
         both = Decoders(preset)
         t = torch.zeros(1, 7, preset.plane_channels)
-        assert both.geometry(t, t[..., 0]).shape == (1, 7)
+        assert both.geometry(t, t[..., 0], torch.zeros(1, 7, shown_channels(preset))).shape == (
+            1,
+            7,
+        )
     assert isinstance(both.shading, ShadingDecoder)
     plain = Decoders(replace(preset, decoder="plain"))
     assert isinstance(plain.shading, PlainDecoder)
@@ -299,7 +311,7 @@ def test_wrong_shapes_are_named(decoder: ShadingDecoder) -> None:
 
 
 def test_planes_are_trained_through_the_decoders(decoder: ShadingDecoder) -> None:
-    planes = torch.randn(B, 3, TINY.plane_channels + SHOWN, 8, 8, requires_grad=True)
+    planes = torch.randn(B, 3, TINY.plane_channels + 3 + SHOWN, 8, 8, requires_grad=True)
     found = volume.triplane(planes, 2 * torch.rand(B, N, 3) - 1)
     decoder(found, same, units(2), lightmaps(), rotations(1)).colour.sum().backward()
     assert planes.grad is not None and planes.grad.abs().sum((0, 3, 4)).all()

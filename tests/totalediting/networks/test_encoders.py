@@ -12,6 +12,7 @@ from assets_procedural.conventions.camera import SENSOR_MM, CameraSample
 from assets_procedural.motion.poses import ARKIT_NAMES
 from totalediting.geometry import field
 from totalediting.geometry.field import Table
+from totalediting.geometry.relief import CHANNELS
 from totalediting.geometry.shown import PIXEL, SIGHT, Sheet
 from totalediting.geometry.space import box
 from totalediting.geometry.tracking import CODE, EXPRESSIONS, FILL, FOCAL_MM, SIZES, Tracking
@@ -92,7 +93,7 @@ def sheet(image: Tensor) -> Sheet:
     camera[:3, :3] = torch.tensor([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
     camera[:3, 3] = torch.tensor([0.0, -20.0, 0.0])
     lens = torch.tensor([[32.0 * side, 0, side / 2], [0, 32.0 * side, side / 2], [0, 0, 1]])
-    relief = torch.zeros(batch, 2, 64, 64)
+    relief = torch.zeros(batch, CHANNELS, 64, 64)
     camera, lens = (a.to(image.device).expand(batch, -1, -1) for a in (camera, lens))
     still = Table(still.to(image.device), low, high, (batch,))
     return Sheet(pixels, still, camera, lens, relief.to(image.device))

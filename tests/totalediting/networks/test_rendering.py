@@ -18,12 +18,14 @@ from torch.nn import functional
 from totalediting.geometry import volume
 from totalediting.geometry.field import Control, Field, tabulate
 from totalediting.geometry.moving_least_squares import mls
+from totalediting.geometry.relief import CHANNELS as RELIEF
 from totalediting.geometry.space import BOX_HIGH, BOX_LOW, off_planes, on_planes
 from totalediting.light.lightmaps import bake, sample
 from totalediting.light.phong import display, undisplay
 from totalediting.networks import density as densities
 from totalediting.networks import discriminator as adversary
 from totalediting.networks.decoders import Decoders, Shading, shown_channels
+from totalediting.networks.density import Volume
 from totalediting.networks.discriminator import CHANNELS, Discriminator
 from totalediting.networks.rendering import Rendering, render
 from totalediting.networks.superresolution import Background, SuperResolution, fine_structure, over
@@ -68,7 +70,7 @@ class Sphere:
     def outward(self, points: Tensor) -> Tensor:
         return points - points.new_tensor(CENTRE)
 
-    def geometry(self, features: Tensor, _: Tensor) -> Tensor:
+    def geometry(self, features: Tensor, *_: Tensor) -> Tensor:
         inside = (RADIUS - self.outward(off_planes(features)).norm(dim=-1)) / self.soft
         return self.peak * torch.sigmoid(inside)
 
@@ -98,7 +100,7 @@ def coordinates(batch: int = 1) -> Tensor:
 
 
 def relief(batch: int = 1) -> Tensor:
-    return torch.rand(batch, 2, 48, 48, generator=seeded(5))
+    return torch.rand(batch, RELIEF, 48, 48, generator=seeded(5))
 
 
 def look(points: Tensor) -> Tensor:
@@ -177,7 +179,7 @@ def test_a_surface_shows_what_the_source_shows_there() -> None:
             return super().shading(features, *rest)
 
     picture_of(Painted(), camera())
-    places, found = seen[0].split([3, shown_channels(SMALL)], -1)
+    places, _, found = seen[0].split([3, 3, shown_channels(SMALL)], -1)
     inside = (places.abs() < 0.95).all(-1)  # beyond, the coordinates' planes stand still
     expected = look(off_planes(places))
     torch.testing.assert_close(found[inside], expected[inside], atol=1e-3, rtol=1e-3)
@@ -340,10 +342,11 @@ def test_what_is_between_front_and_back_of_the_skin_is_full() -> None:
     front, back = on_planes(f32([0, -0.04, 0], [0, 0.02, 0]))[:, 1]
     given["relief"][:, 0], given["relief"][:, 1] = front, back
     at = f32([0, -0.06, 0], [0, -0.035, 0], [0, 0.01, 0], [0, 0.04, 0]).expand(2, -1, -1)
-    volume_ = given["geometry_planes"] * 0, given["relief"], given["decoders"].geometry
-    before, within, end, behind = densities.density(*volume_, at)[0].tolist()
+    planes, geometry = given["geometry_planes"] * 0, given["decoders"].geometry
+    volume_ = Volume(planes, given["relief"], lambda points: 0 * look(points), geometry)
+    before, within, end, behind = densities.density(volume_, at)[0].tolist()
     assert min(within, end) > 100 > 10 > max(before, behind)
-    facing = densities.density_normals(*volume_, f32([[0.0, -0.04, 0.0]]).expand(2, -1, -1))
+    facing = densities.density_normals(volume_, f32([[0.0, -0.04, 0.0]]).expand(2, -1, -1))
     torch.testing.assert_close(facing, f32([[0.0, -1.0, 0.0]]).expand(2, -1, -1))
 
 
@@ -437,10 +440,10 @@ def test_autocast_does_not_round_the_volume() -> None:
     assert all(torch.equal(a, b) for a, b in zip(exact, seen, strict=True))
     planes, geometry = given["geometry_planes"], given["decoders"].geometry
     points = torch.lerp(LOW, HIGH, torch.rand(2, 30, 3, generator=seeded(0)))
-    volume_ = planes, given["relief"], geometry
-    normals = densities.density_normals(*volume_, points)
+    volume_ = Volume(planes, given["relief"], lambda points: 0 * look(points), geometry)
+    normals = densities.density_normals(volume_, points)
     with torch.autocast("cpu", torch.bfloat16):
-        assert torch.equal(densities.density_normals(*volume_, points), normals)
+        assert torch.equal(densities.density_normals(volume_, points), normals)
 
 
 @pytest.mark.parametrize("preset", PRESETS.values(), ids=PRESETS)
@@ -473,10 +476,12 @@ def test_density_normals_point_out_of_the_sphere() -> None:
     away = functional.normalize(torch.randn(1, 60, 3, generator=seeded(0)), dim=-1)
     points = torch.tensor(CENTRE) + RADIUS * away
     sphere = Sphere(density=300.0, soft=0.01)
-    found = densities.density_normals(coordinates(), relief(), sphere.geometry, points)
+    found = densities.density_normals(
+        Volume(coordinates(), relief(), look, sphere.geometry), points
+    )
     torch.testing.assert_close(found, away, atol=1e-3, rtol=0)
-    even = lambda p, _: 0.0 * p[..., 0] + 5.0  # noqa: E731
-    flat = densities.density_normals(coordinates(), relief(), even, points)
+    even = lambda p, *_: 0.0 * p[..., 0] + 5.0  # noqa: E731
+    flat = densities.density_normals(Volume(coordinates(), relief(), look, even), points)
     assert not flat.any()
 
 
@@ -484,25 +489,29 @@ def test_density_normals_train_planes_and_decoder() -> None:
     given = learnt()
     planes, geometry = given["geometry_planes"], given["decoders"].geometry
     points = torch.lerp(LOW, HIGH, torch.rand(2, 30, 3))
-    found = densities.density_normals(planes, given["relief"], geometry, points)
+    found = densities.density_normals(Volume(planes, given["relief"], look, geometry), points)
     assert found.shape == (2, 30, 3)
     assert found.norm(dim=-1).max() < 1 + 1e-5
     found[..., 1].sum().backward()
     assert planes.grad.any() and planes.grad.isfinite().all()
     assert geometry.net[0].weight.grad.any()
     with pytest.raises(ValueError, match="points"):
-        densities.density_normals(planes, given["relief"], geometry, points[0])
+        densities.density_normals(Volume(planes, given["relief"], look, geometry), points[0])
 
 
 def test_density_jitter_measures_variation() -> None:
-    slope = lambda p, _: 100.0 * (off_planes(p)[..., 0] + 0.3)  # noqa: E731
-    at, beside = densities.density_jitter(coordinates(2), relief(2), slope, 4000, seeded(0))
+    slope = lambda p, *_: 100.0 * (off_planes(p)[..., 0] + 0.3)  # noqa: E731
+    at, beside = densities.density_jitter(
+        Volume(coordinates(2), relief(2), look, slope), 4000, seeded(0)
+    )
     assert at.shape == beside.shape == (2, 4000)
     expected = 100.0 * densities.JITTER * math.sqrt(2 / math.pi)  # mean |normal|
     inside = (at - 30).abs() < 25  # at the ends, planes stand still
     assert abs((at - beside).abs()[inside].mean() / expected - 1) < 0.05
     assert abs(at.mean() / 30.0 - 1) < 0.05, "points fill the box"
-    again = densities.density_jitter(coordinates(2), relief(2), slope, 4000, seeded(0))
+    again = densities.density_jitter(
+        Volume(coordinates(2), relief(2), look, slope), 4000, seeded(0)
+    )
     assert torch.equal(again[1], beside)
 
 
