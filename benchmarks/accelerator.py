@@ -4,8 +4,8 @@
 
 First `benchmarks/training.py` measures a step of `reconstruct` for every preset, plainly and with
 torch.compile, as far as a third of the time goes; what does not fit in memory is said. Then the
-largest preset that fits trains in RUN for what is left, plainly, and is evaluated. The table is also
-in RUN/accelerator.md; RUN is a run like any other.
+largest preset that fits trains in RUN for what is left, plainly, and is evaluated. The table is
+also in RUN/accelerator.md; RUN is a run like any other.
 """
 
 from __future__ import annotations
