@@ -67,13 +67,13 @@ def fine_structure(shaded: Tensor, opacity: Tensor, scale: int) -> Tensor:
     """Factors (B, 3, S, S) by which the fine structure of shaded surfaces changes a picture.
 
     The ratio of `shaded` (B, 3, S, S), each pixel's surface in the light to show, display-referred,
-    to its surroundings, one rendered pixel (`scale` pixels) to each side: the detail that the
-    rendered picture cannot hold. 1 where nothing is seen, by `opacity` (B, 1, S, S). Ours: deferred
+    to what is left of it in a rendered picture, whose pixels are `scale` of these: the detail that
+    that cannot hold. 1 where nothing is seen, by `opacity` (B, 1, S, S). Ours: deferred
     shading of what is looked up in the source.
     """
     shaded, opacity = shaded.float(), opacity.float()
-    padded = functional.pad(shaded, (scale,) * 4, mode="replicate")
-    around = functional.avg_pool2d(padded, 2 * scale + 1, 1)
+    rendered = functional.avg_pool2d(shaded, scale)
+    around = functional.interpolate(rendered, scale_factor=float(scale), mode="bilinear")
     factor = ((shaded + _DARK) / (around + _DARK)).clamp(_LEAST, _MOST)
     return torch.lerp(torch.ones_like(factor), factor, opacity)
 
