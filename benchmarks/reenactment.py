@@ -19,12 +19,13 @@ import report
 import torch
 from torch import Tensor
 
+from totalediting import metrics
 from totalediting.data.endless import loader
 from totalediting.data.pairs import PortraitPair, PortraitPairs
 from totalediting.model import TotalEditing
 from totalediting.pretrained.fetch import NetworkError
 from totalediting.pretrained.lpips import Lpips
-from totalediting.training import checkpoints, metrics
+from totalediting.training import checkpoints
 from totalediting.training.reconstruction import edit_of
 from totalediting.training.showcase import load_model
 

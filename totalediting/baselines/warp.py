@@ -15,6 +15,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from totalediting import metrics
 from totalediting.data.endless import collate
 from totalediting.data.pairs import PortraitPair, PortraitPairs
 from totalediting.geometry.field import Control, Field
@@ -24,11 +25,12 @@ from totalediting.geometry.projection import look_up, project, unproject
 from totalediting.light.lightmaps import sample
 from totalediting.light.phong import display, undisplay
 from totalediting.presets import Preset
-from totalediting.training import metrics
 
 ALPHA = 2.0
 AGREES = 0.006
 """Metres between a moved point and the depth that the source shows there: more is hidden."""
+SEEN = 0.98
+"""Coverage from which on a pixel is the subject's alone."""
 _DARK = 0.02  # of shadings: what is in the dark says little
 _GAIN = 4.0  # most that light is changed by
 
@@ -71,7 +73,7 @@ def evaluate(data: Path, preset: Preset, split: str) -> dict[str, float]:
     for number in range(len(pairs)):
         pair = collate([pairs[number]])
         made = warp(pair)
-        seen = made.seen.to(pair.alpha) * (pair.alpha > 0.98)
+        seen = made.seen.to(pair.alpha) * (pair.alpha > SEEN)
         source = pair.app.image
         values = {
             "seen_psnr": metrics.psnr_within(made.image, pair.foreground, seen),
@@ -127,7 +129,7 @@ def _source_colours(
     shown = look_up(pair.app_depth[one], places, "nearest")[..., 0]
     matte = look_up(app.alpha[one], places)[..., 0]
     inside = (places.abs() < 1).all(-1)
-    own = inside & (matte > 0.98) & ((shown - depth).abs() < AGREES)
+    own = inside & (matte > SEEN) & ((shown - depth).abs() < AGREES)
     old = sample(app.lightmaps[one, 0], normal)[0]
     ratio = ((lit + _DARK) / (old + _DARK)).clamp(1 / _GAIN, _GAIN)
     return undisplay(look_up(app.image[one], places)[0]) * ratio, own[0]

@@ -21,6 +21,8 @@ FIGURES: dict[str, Figure] = {
     "seen_psnr": Figure("PSNR of pixels that the source shows", "dB"),
     "seen_share": Figure("share of the matte that the source shows"),
     "ssim": Figure("SSIM"),
+    "lpips": Figure("LPIPS (AlexNet)"),
+    "source_lpips": Figure("LPIPS of the source (AlexNet)"),
     "source_psnr": Figure("PSNR of the source", "dB", "PSNR of the source"),
     "source_matte_psnr": Figure("PSNR of the source, the matte's pixels", "dB"),
     "source_seen_psnr": Figure("PSNR of the source, pixels that it shows", "dB"),

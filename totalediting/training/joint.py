@@ -43,7 +43,7 @@ from totalediting.presets import Preset
 from totalediting.pretrained.sface import Recognition
 from totalediting.training import checkpoints, losses
 from totalediting.training.objective import Truth, terms, truth_of, truth_of_real
-from totalediting.training.reconstruction import TABLES, PairStage, edit_of, generator_on, validate
+from totalediting.training.reconstruction import TABLES, PairStage, edit_of, generator_on
 from totalediting.training.stage import Loss, RealVideo, StageSettings, Validation
 from totalediting.training.stages import STAGES
 
@@ -267,7 +267,7 @@ class JointStage(PairStage):
         found["identity"] = losses.identity_loss(made, wanted)
 
     def validate(self, network: nn.Module) -> Validation:
-        return validate(self.network.model, self.held_out, self.most)
+        return self.validated(self.network.model)
 
     def _adversarial(self, edit: Edit, batch: PortraitPair, step: int) -> tuple[Tensor, Tensor]:
         """The generator's term, and the discriminator's own with its penalty."""

@@ -14,6 +14,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from totalediting import metrics
+from totalediting.baselines.warp import SEEN, warp
 from totalediting.data.endless import loader, to_device
 from totalediting.data.kept_tables import KeptTables
 from totalediting.data.pairs import MIRRORED, PortraitPair, PortraitPairs
@@ -25,7 +27,7 @@ from totalediting.model import Edit, Tables, TotalEditing, Window
 from totalediting.presets import Preset
 from totalediting.pretrained.fetch import NetworkError
 from totalediting.pretrained.lpips import Lpips
-from totalediting.training import losses, metrics
+from totalediting.training import losses
 from totalediting.training.objective import Truth, terms, truth_of
 from totalediting.training.stage import Loss, Stage, StageSettings, Validation
 
@@ -44,6 +46,8 @@ class PairStage(Stage):
     """A stage that learns from pairs of pictures of one person."""
 
     most = VALIDATED
+    closely = False
+    """Whether validation takes its time for all figures."""
 
     def __init__(
         self,
@@ -67,7 +71,11 @@ class PairStage(Stage):
 
     def validate_on(self, data: Path, split: str) -> None:
         self.held_out = PortraitPairs(data, self.preset, split)
-        self.most = len(self.held_out)
+        self.most, self.closely = len(self.held_out), True
+
+    def validated(self, network: nn.Module) -> Validation:
+        """How well the model does on the people held out."""
+        return validate(network, self.held_out, self.most, self.lpips, self.closely)
 
     @property
     def skipped(self) -> dict[str, str]:
@@ -147,7 +155,7 @@ class ReconstructStage(PairStage):
         return total.loss, total.scalars
 
     def validate(self, network: nn.Module) -> Validation:
-        return validate(network, self.held_out, self.most)
+        return self.validated(network)
 
 
 def build(settings: StageSettings) -> ReconstructStage:
@@ -202,9 +210,16 @@ def edit_of(
     )
 
 
-def validate(network: nn.Module, pairs: PortraitPairs, most: int) -> Validation:
-    """Judge a model by its PSNR on the first `most` pairs of held-out people; beside it stands the
-    PSNR of returning the source. All pictures are over black."""
+def validate(
+    network: nn.Module,
+    pairs: PortraitPairs,
+    most: int,
+    lpips: Lpips | None = None,
+    closely: bool = False,
+) -> Validation:
+    """Judge a model by its PSNR on the first `most` pairs of held-out people; beside it stand the
+    figures of returning the source. All pictures are over black. `closely` adds the PSNR of pixels
+    that the source shows and, where there is the network, LPIPS."""
     device = next(network.parameters()).device
     found: dict[str, list[Tensor]] = {}
     picture = None
@@ -224,12 +239,28 @@ def validate(network: nn.Module, pairs: PortraitPairs, most: int) -> Validation:
             "normal_error": metrics.normal_error(normal, batch.normal, matte),
             "albedo_error": difference.mean((1, 2, 3)) / matte.mean((1, 2, 3)),
         }
+        if closely:
+            values |= _closely(batch, shown, lpips)
         for name, value in values.items():
             found.setdefault(name, []).append(value)
         picture = picture if picture is not None else edit_picture(batch, edit)
     figures = {name: float(torch.cat(values).nanmean()) for name, values in found.items()}
     assert picture is not None  # a split is never empty
     return Validation(-figures["psnr"], figures, {"edit": picture})
+
+
+def _closely(batch: PortraitPair, shown: Tensor, lpips: Lpips | None) -> dict[str, Tensor]:
+    """Figures (B,) of results over black that take longer."""
+    truth, source = batch.foreground, batch.alpha * batch.app.image
+    seen = warp(batch).seen * (batch.alpha > SEEN)
+    found = {
+        "seen_psnr": metrics.psnr_within(shown, truth, seen.to(shown)),
+        "source_seen_psnr": metrics.psnr_within(source, truth, seen.to(shown)),
+    }
+    if lpips is not None:
+        lpips = lpips.to(shown.device)
+        found |= {"lpips": lpips(shown, truth), "source_lpips": lpips(source, truth)}
+    return found
 
 
 def over_black(batch: PortraitPair, edit: Edit) -> Tensor:

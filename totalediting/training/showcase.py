@@ -16,6 +16,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from assets_procedural.conventions.files import replacing
+from totalediting import metrics
 from totalediting.data.endless import collate
 from totalediting.data.pairs import PortraitPair, PortraitPairs
 from totalediting.geometry.identity import faces_of
@@ -24,7 +25,7 @@ from totalediting.light.pictures import EDGE, FAINT, GAP, INK, PAPER
 from totalediting.model import TotalEditing
 from totalediting.networks.lightmap_estimator import LightmapEstimator
 from totalediting.presets import Preset
-from totalediting.training import checkpoints, metrics
+from totalediting.training import checkpoints
 from totalediting.training.joint import Joint
 from totalediting.training.reconstruction import decomposition, edit_of, over_black
 from totalediting.training.stages import STAGES

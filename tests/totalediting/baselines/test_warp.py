@@ -10,7 +10,7 @@ import torch
 from answer import Answer
 from torch import Tensor
 
-from totalediting import cli
+from totalediting import cli, metrics
 from totalediting.baselines import warp
 from totalediting.data.pairs import PortraitPair
 from totalediting.geometry.field import Control
@@ -18,7 +18,6 @@ from totalediting.geometry.source import Source
 from totalediting.light.lightmaps import bake, sample, texel_directions
 from totalediting.light.phong import display
 from totalediting.presets import PRESETS
-from totalediting.training import metrics
 
 SIDE, RADIUS, FAR = 64, 0.1, 1.0
 

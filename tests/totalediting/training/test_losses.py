@@ -6,9 +6,10 @@ import pytest
 import torch
 import torch.nn.functional as F
 
+from totalediting import metrics
 from totalediting.light import lightmaps
 from totalediting.networks.lightmap_estimator import fold, texel_weights
-from totalediting.training import losses, metrics
+from totalediting.training import losses
 from totalediting.training.losses import OURS, PAPER, TERMS, LossWeights, total
 
 

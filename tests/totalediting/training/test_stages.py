@@ -435,6 +435,8 @@ def test_a_trained_run_is_shown(
     assert shown.returncode == 0 and "drawing: 0 s so far\n" in shown.stderr
     assert "lightmaps: light error / that of the mean light: " in figures.stdout
     assert "reconstruct: PSNR of the source: " in figures.stdout
+    for what in ("PSNR of pixels that the source shows", "PSNR of the matte's pixels"):
+        assert f"reconstruct: {what}: " in figures.stdout
     monkeypatch.setattr(console, "FIRST_LINE", 60.0)
     empty = totalediting("evaluate", tmp_path, small_dataset).error
     assert "nothing was trained there" in empty
