@@ -4,10 +4,10 @@ Symbols: B batch, N points, C = preset.plane_channels, L = `shown_channels`, h r
 t_geo features of the geometry's tri-plane (B, N, C), x where points are on the planes, i how far
 inside the skin, t_shd features of the shading's tri-plane, the skin's canonical normal
 (`relief.skin_normal`) and what the source shows (`shown.Shown`) (B, N, C + 3 + L). Vectors are unit
-and in model space (metres, Z up), posed unless called canonical: normal n, view v (from the point to
-the viewer), r = v reflected at n. Lightmaps have a frame of their own, into which `to_light` takes
-model space. Light, colour and shadings are linear Rec.709, or display-referred
-where `preset.colour` is "srgb".
+and in model space (metres, Z up), posed unless called canonical: normal n, view v (from the point
+to the viewer), r = v reflected at n. Lightmaps have a frame of their own, into which `to_light`
+takes model space. Light, colour and shadings are linear Rec.709, or display-referred where
+`preset.colour` is "srgb".
 
     sigma = D_geo([t_geo, i, x, shown])         n', a', w = D_f(t_shd)
     n^c = (n^skin + n') / |n^skin + n'|         a = sigmoid(logit(source) + a')
