@@ -207,12 +207,27 @@ def evaluate(
     split: Annotated[
         Literal["train", "validation", "test"], typer.Option(help="People to measure on.")
     ] = "test",
+    baseline: Annotated[
+        Literal["warp"] | None,
+        typer.Option(
+            help="Also what needs no training: the source warped by its true bust and relit by its "
+            "true light. RUN may then be a folder that does not exist."
+        ),
+    ] = None,
 ) -> None:
     """Measure every stage of a trained run on a split of a dataset."""
     with console.progress("measuring stages") as advance:
-        from totalediting.training import runs
+        from totalediting.training import checkpoints, runs
 
-        found = runs.evaluate(run, data, split, advance)
+        found = {}
+        trained = runs.trained_in(run)
+        if baseline == "warp":
+            from totalediting.baselines import warp
+
+            preset = checkpoints.preset_of(trained[0].folder(run)) if trained else PRESETS["tiny"]
+            found["warp"] = warp.evaluate(data, preset, split)
+        if trained or not found:
+            found |= runs.evaluate(run, data, split, advance)
     _print_figures(found)
 
 

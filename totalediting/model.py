@@ -1,12 +1,13 @@
 """Total-Editing (paper, figure 2): appearance, motion and light of a portrait, each from a source.
 
-    I_app -- E_app --> F_app, detail            e_app, e_mot: codes of motion (E_mot: `motion`)
+    I_app -- `shown` --> a sheet: what the source shows of any point of canonical space
+    sheet -- E_app --> F_app, detail            e_app, e_mot: codes of motion (E_mot: `motion`)
     F = F_re(F_de(F_app, e_app), e_mot)         appearance, neutralised, with the other expression
     T_geo = E_geo(F), T_shd = E_shd(F)          canonical tri-planes
     T, R from the posed bust                    where samples lie in canonical space, how n turns
     S_d, S_s(n)                                 light: baked (`lightmaps`) or seen (`illumination`)
     D_geo, D_shd, volume rendering              sigma, a, n, k_d, k_s, delta, w -> raw picture
-    background, super-resolution, fine structure of I_app -> the edited picture
+    background, super-resolution, D_shd once more at every pixel's surface -> the edited picture
 
 Symbols: B batch, S = preset.image, h = preset.neural, V control points, H rows of a lightmap.
 Model space: metres, Z up, the head at rest looks along -Y, its centre is the origin.
@@ -18,18 +19,22 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
+from torch.nn import functional
 
 from totalediting.geometry import moving_least_squares
+from totalediting.geometry.bust_view import skin_near
 from totalediting.geometry.field import Control, Field, Table, tabulate
-from totalediting.geometry.frontal import both_sides
+from totalediting.geometry.projection import unproject
+from totalediting.geometry.shown import Shown, sheet_of
+from totalediting.geometry.source import Source
 from totalediting.geometry.space import box
 from totalediting.geometry.surface_field import surface_field
 from totalediting.geometry.volume import resize_intrinsics
 from totalediting.light import phong
 from totalediting.networks.appearance import AppearanceEncoder
-from totalediting.networks.decoders import Decoders
+from totalediting.networks.decoders import Decoders, ToPosed
 from totalediting.networks.reenactment import Deenactor, Reenactor, fuse
-from totalediting.networks.rendering import Rendering, render
+from totalediting.networks.rendering import Rendering, render, shading_features
 from totalediting.networks.superresolution import Background, SuperResolution, fine_structure, over
 from totalediting.networks.triplanes import TriplaneEncoder
 from totalediting.presets import Preset
@@ -42,8 +47,17 @@ class Planes(NamedTuple):
     """(B, 3, plane_channels, P, P), T_geo."""
     shading: Tensor
     """The same of T_shd."""
-    laid: Tensor
-    """(B, LAID, S, S) what the source shows, see `frontal.both_sides`."""
+    shown: Shown
+    """What the source shows of canonical points."""
+
+
+class Tables(NamedTuple):
+    """The deformations that an edit takes."""
+
+    there: Table
+    """From the pose to show to canonical space, T and R."""
+    back: Table
+    """From canonical space to the pose in the source."""
 
 
 class Edit(NamedTuple):
@@ -55,6 +69,8 @@ class Edit(NamedTuple):
     """(B, 3, h, h), display-referred, before super-resolution, over the background."""
     foreground: Tensor
     """(B, 3, h, h), display-referred, the subject over black."""
+    behind: Tensor
+    """(B, 3, h, h), display-referred, what the model takes to be behind the subject."""
     rendering: Rendering
     planes: Planes
 
@@ -98,11 +114,9 @@ class TotalEditing(nn.Module):
 
     def forward(
         self,
-        app_image: Tensor,
-        app_frontal: Tensor,
-        e_app: Tensor,
+        source: Source,
         e_mot: Tensor,
-        control: Control | Table | None,
+        control: Control | None,
         camera_to_world: Tensor,
         intrinsics: Tensor,
         lightmaps: Tensor,
@@ -110,98 +124,165 @@ class TotalEditing(nn.Module):
         background: Tensor | None = None,
         generator: torch.Generator | None = None,
         window: Window | None = None,
+        tables: Tables | None = None,
     ) -> Edit:
-        """Show the person of `app_image` with another expression, pose, view and light.
+        """Show the person of `source` with another expression, pose, view and light.
 
         Args:
-            app_image: I_app (B, 3, S, S) in [0, 1].
-            app_frontal: what `frontal.frontalise` makes of it (B, 6, S, S).
-            e_app, e_mot: (B, 54) codes of the motion in I_app and of the motion to show.
-            control: the bust in the pose to show and at rest (B, V, 3), model space, or what
-                `deformation` makes of it; None where it is at rest.
+            source: I_app (B, ...), and what is known of it.
+            e_mot: (B, 54) code of the motion to show.
+            control: the bust in the pose to show and at rest (B, V, 3), model space; None where it
+                is at rest.
             camera_to_world: (B, 4, 4) into model space.
             intrinsics: (B, 3, 3) in pixels of side S.
             lightmaps: (B, 5, 3, H, 2H), normalised, exposed as the result should be.
             to_light: (B, 3, 3) rotation of model space into the lightmaps' frame; None if it is
                 their own.
-            background: (B, 3 + features, h, h) behind the subject; None for that of I_app.
+            background: (B, 3, S, S) what is behind the subject, display-referred; None for what the
+                source shows of it.
             generator: scatters the samples of training.
             window: the part of the picture to render; None for all of it.
+            tables: what `deformation` makes of `control` and of `source.control.back()`, if that
+                is known.
 
         Raises:
             ValueError: a shape does not fit.
         """
-        planes = self.encode(app_image, app_frontal, e_app, e_mot)
-        behind = self.background(app_image) if background is None else background
+        planes = self.encode(source, e_mot, tables and tables.back)
+        behind = self.background(source.image)
+        if control is None:
+            rest = source.control.back()
+            control, table = rest._replace(canonical=rest.posed), None
+        else:
+            table = self.deformation(control) if tables is None else tables.there
         return self.show(
             planes,
-            control,
+            control.posed,
+            control.posed_normals,
+            table,
             camera_to_world,
             intrinsics,
             lightmaps,
             to_light,
             behind,
+            background,
             generator,
             window,
         )
 
-    def encode(
-        self, app_image: Tensor, app_frontal: Tensor, e_app: Tensor, e_mot: Tensor
-    ) -> Planes:
-        """Appearance and expression to canonical tri-planes."""
-        f_app, detail = self.appearance(app_image, app_frontal)
-        f = fuse(self.deenactor, self.reenactor, f_app, e_app, e_mot)
+    def encode(self, source: Source, e_mot: Tensor, warp: Table | None = None) -> Planes:
+        """Appearance and expression to canonical tri-planes; arguments as of `forward`."""
+        if warp is None:
+            warp = self.deformation(source.control.back())
+        with torch.autocast(source.image.device.type, enabled=False):
+            sheet = sheet_of(source, warp)
+        f_app, detail, shown = self.appearance(sheet)
+        f = fuse(self.deenactor, self.reenactor, f_app, source.code, e_mot)
         geometry, shading = self.geometry_encoder(f, detail), self.shading_encoder(f, detail)
-        return Planes(geometry, shading, both_sides(app_frontal))
+        return Planes(geometry, shading, shown)
 
     def show(
         self,
         planes: Planes,
-        control: Control | Table | None,
+        posed: Tensor,
+        normals: Tensor,
+        table: Table | None,
         camera_to_world: Tensor,
         intrinsics: Tensor,
         lightmaps: Tensor,
         to_light: Tensor | None,
-        background: Tensor,
+        behind: Tensor,
+        background: Tensor | None = None,
         generator: torch.Generator | None = None,
         window: Window | None = None,
     ) -> Edit:
-        """Tri-planes in a pose, view and light; arguments as of `forward`."""
+        """Tri-planes in a pose, view and light; arguments as of `forward`. The bust's points and
+        normals (B, V, 3) are where `table` leads to canonical space from, None where they are at
+        rest. `behind` (B, 3 + F, h, h) is of `Background`; where the `background` is known, only
+        its features count."""
         preset, side = self.preset, self.preset.neural
+        skin = None
+        if preset.samples == "surface":
+            skin = skin_near(posed, normals, camera_to_world, intrinsics, preset.image, side)
+        if background is not None:
+            small = functional.interpolate(background, (side, side), mode="area")
+        else:
+            small = behind[:, :3]
         intrinsics = resize_intrinsics(intrinsics, (preset.image, preset.image), (side, side))
         if window is not None:
             side = window.side
             intrinsics = intrinsics - intrinsics.new_tensor(
                 [[0, 0, window.column], [0, 0, window.row], [0, 0, 0]]
             )
-            background = window.of(background)
+            behind, small = window.of(behind), window.of(small)
+            skin = None if skin is None else window.of(skin)
         if to_light is None:
             to_light = torch.eye(3).to(lightmaps).expand(len(lightmaps), 3, 3)
-        if isinstance(control, Control):
-            control = self.deformation(control)
         rendering = render(
             planes.geometry,
             planes.shading,
-            planes.laid,
+            planes.shown.sheet.relief,
+            planes.shown,
             self.decoders,
             camera_to_world,
             intrinsics,
             lightmaps,
             to_light,
-            control,
+            table,
             preset,
             generator,
+            skin,
             side=side,
         )
-        light = rendering.colour
-        foreground = phong.display(light, 1) if preset.colour == "linear" else light
-        raw, features = over(foreground, rendering.features, rendering.opacity, background)
+        light, linear = rendering.colour, preset.colour == "linear"
+        foreground = phong.display(light, 1) if linear else light
+        seen = torch.cat([small, behind[:, 3:]], 1)
+        raw, features = over(light, rendering.features, rendering.opacity, seen, linear)
         image = self.superresolution(raw, features)
-        size = image.shape[-1]
-        image = image * fine_structure(planes.laid, rendering.canonical, rendering.opacity, size)
+        shaded, opacity = self._surface(
+            planes, rendering, table, camera_to_world, intrinsics, lightmaps, to_light
+        )
+        scale = image.shape[-1] // side
+        image = image * fine_structure(shaded, opacity, scale)
         if not self.training:
             image = image.clamp(0, 1)
-        return Edit(image, raw, foreground, rendering, planes)
+        return Edit(image, raw, foreground, behind[:, :3], rendering, planes)
+
+    def _surface(
+        self,
+        planes: Planes,
+        rendering: Rendering,
+        table: Table | None,
+        camera_to_world: Tensor,
+        intrinsics: Tensor,
+        lightmaps: Tensor,
+        to_light: Tensor,
+    ) -> tuple[Tensor, Tensor]:
+        """The surface at every pixel of the final picture, shaded (B, 3, S, S) display-referred,
+        and its opacity (B, 1, S, S). No gradient flows into where it is."""
+        small = rendering.depth.shape[-1]
+        side = small * self.preset.image // self.preset.neural
+        with torch.autocast(rendering.depth.device.type, enabled=False):
+            both = torch.cat([rendering.opacity, rendering.opacity * rendering.depth], 1).detach()
+            both = functional.interpolate(both.float(), (side, side), mode="bilinear")
+            opacity, depth = both[:, :1], both[:, 1:] / both[:, :1].clamp_min(1e-4)
+            lens = resize_intrinsics(intrinsics.float(), (small, small), (side, side))
+            points = unproject(depth, camera_to_world.float(), lens).flatten(1, 2)
+            view = functional.normalize(camera_to_world[:, None, :3, 3] - points, dim=-1)
+            turned: ToPosed = lambda directions: directions  # noqa: E731
+            if table is not None:
+                field = table(points)
+                points = field.position
+                if self.preset.rotation != "none":
+                    turned = field.to_posed
+            shown = planes.shown
+            relief = shown.sheet.relief.float()
+            features = shading_features(planes.shading.float(), relief, points, shown(points))
+            shading = self.decoders.shading(
+                features, turned, view, lightmaps.float(), to_light.float()
+            )
+            colour = shading.colour.mT.unflatten(-1, (side, side))
+            return (phong.display(colour, 1) if self.preset.colour == "linear" else colour), opacity
 
     def deformation(self, control: Control) -> Table:
         """T and R of posed busts (B, V, 3), as a table over the rendered box."""

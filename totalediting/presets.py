@@ -25,6 +25,8 @@ class Preset:
     """Channels of the appearance encoder's global branch, on a grid of side S / 8."""
     detail_channels: int
     """Channels of its detail branch, on a grid of side S / 2."""
+    aligned_channels: int
+    """How many of its features every shaded point sees, looked up where the source shows it."""
     tokens: int
     """Side of the square grid of tokens that deenactor and reenactor work on."""
     token_dim: int
@@ -49,9 +51,13 @@ class Preset:
     features: int
     """Extra channels w that enter super-resolution along with colour."""
     coarse_samples: int
-    """Samples on a ray in the first pass."""
+    """Samples on a ray in the first pass, with `samples` "importance"."""
     fine_samples: int
     """Samples that importance adds in the second."""
+    skin_samples: int
+    """Samples on a ray about the bust's skin, with `samples` "surface"."""
+    hair_samples: int
+    """Samples before and behind it, where hair and clothes are."""
     upsample_channels: int
     """Channels of the super-resolution's and the background's convolutions."""
 
@@ -70,12 +76,26 @@ class Preset:
     """Nodes of the deformation's table along each axis."""
     deformation: Literal["mls", "surface_field"] = "mls"
     """What moves points to canonical space."""
+    expression: Literal["learned", "warped"] = "learned"
+    """Whether the bust at rest has the expression to show, which the reenactor puts in, or none:
+    then the deformation takes it off, and an expression moves at once what the source shows."""
     rotation: Literal["mls", "surface_field", "none"] = "mls"
     """What turns normals; "none" leaves the canonical ones."""
     decoder: Literal["phong", "plain"] = "phong"
     """Decomposed shading, or the baseline's single colour that ignores light."""
+    samples: Literal["surface", "importance"] = "surface"
+    """Where rays are sampled: where the bust is, or in two passes, as the paper."""
+    residual: Literal["linear", "paper"] = "linear"
+    """Residual light as a sum of shadings, which adds up as light does, or the paper's form."""
+    occlusion: Literal["none", "lobes"] = "none"
+    """Whether points that something shades gather light through lobes of their own as well."""
     colour: Literal["linear", "srgb"] = "linear"
     """What shading is composed and rendered in; linear light then passes the display curve."""
+
+    weights: Literal["ours", "paper"] = "ours"
+    """Weights of the losses: balanced, or the paper's plain sum."""
+    freeze: Literal["paper", "none"] = "paper"
+    """Whether the stage joint keeps E_app and F_de as they are, as the paper does."""
 
 
 PRESETS = {
@@ -85,9 +105,10 @@ PRESETS = {
             name="tiny",
             image=128,
             neural=64,
-            window=32,
+            window=48,
             global_channels=64,
             detail_channels=32,
+            aligned_channels=8,
             tokens=16,
             token_dim=128,
             heads=4,
@@ -101,6 +122,8 @@ PRESETS = {
             features=13,
             coarse_samples=16,
             fine_samples=16,
+            skin_samples=10,
+            hair_samples=6,
             upsample_channels=32,
             lightmap_height=16,
             light_directions=128,
@@ -115,6 +138,7 @@ PRESETS = {
             window=64,
             global_channels=256,
             detail_channels=64,
+            aligned_channels=16,
             tokens=32,
             token_dim=512,
             heads=8,
@@ -128,6 +152,8 @@ PRESETS = {
             features=29,
             coarse_samples=36,
             fine_samples=36,
+            skin_samples=14,
+            hair_samples=10,
             upsample_channels=64,
             lightmap_height=32,
             light_directions=512,
@@ -141,6 +167,7 @@ PRESETS = {
             window=64,
             global_channels=256,
             detail_channels=96,
+            aligned_channels=16,
             tokens=32,
             token_dim=1024,
             heads=16,
@@ -154,6 +181,8 @@ PRESETS = {
             features=29,
             coarse_samples=48,
             fine_samples=48,
+            skin_samples=20,
+            hair_samples=12,
             upsample_channels=128,
             lightmap_height=64,
             light_directions=512,
@@ -168,9 +197,15 @@ PRESETS = {
 SWITCHES = {
     "alpha": ("1", "1.5", "2", "3"),
     "deformation": ("mls", "surface_field"),
+    "expression": ("learned", "warped"),
     "rotation": ("mls", "surface_field", "none"),
     "decoder": ("phong", "plain"),
+    "samples": ("surface", "importance"),
+    "residual": ("linear", "paper"),
+    "occlusion": ("none", "lobes"),
     "colour": ("linear", "srgb"),
+    "weights": ("ours", "paper"),
+    "freeze": ("paper", "none"),
 }
 """What an ablation may change in a preset, and to what."""
 

@@ -113,7 +113,10 @@ def _shot(subject: SubjectPlan, plan: ShotPlan, job: JobSpec) -> Shot:
         shade += 0.02 * rng.random(shade.shape)
         linear.append(np.concatenate([shade, np.ones((size, size, 1))], -1) * mask[..., None])
         exposures.append(0.5 * 2.0**use.exposure)
-        images.append(to_bytes(display(np.where(mask[..., None], exposures[-1] * shade, 0.2))))
+        shown = to_bytes(display(np.where(mask[..., None], exposures[-1] * shade, 0.2)))
+        if job.image.background == "transparent":
+            shown = np.concatenate([shown, alpha[..., None]], -1)
+        images.append(shown)
     meta = describe(
         subject,
         plan,

@@ -47,6 +47,8 @@ class ClipPair(NamedTuple):
 
     app_image: Tensor
     """I_app (3, S, S) in [0, 1]."""
+    app_alpha: Tensor
+    """(1, S, S) its matte; 1 where there is none."""
     mot_image: Tensor
     """I_mot and target I* (3, S, S)."""
     light_image: Tensor
@@ -174,23 +176,28 @@ class Clips(EndlessDataset[ClipPair]):
         try:
             pictures = clip.read([app, mot, lit])
             matte, normal = (clip.layer(layer, mot) for layer in LAYERS)
+            app_matte = clip.layer("matte", app)
         except _DAMAGE as error:
             raise Unreadable(item, reason(error)) from error
         app_image, mot_image, light_image = (_fit(frame.shown(), self.side) for frame in pictures)
         matte, normal = (layer and layer.over(pictures[1]) for layer in (matte, normal))
         return ClipPair(
             app_image,
+            self._coverage(app_matte and app_matte.over(pictures[0])),
             mot_image,
             light_image,
-            alpha=torch.ones(1, self.side, self.side)
-            if matte is None
-            else _fit(matte.shown(), self.side).mean(0, keepdim=True),
+            alpha=self._coverage(matte),
             matted=torch.tensor(matte is not None),
             normal=torch.zeros(3, self.side, self.side)
             if normal is None
             else _normals(_fit(normal.turn.normals(normal.stored), self.side)),
             key=self.keys[item],
         )
+
+    def _coverage(self, matte: Frame | None) -> Tensor:
+        if matte is None:
+            return torch.ones(1, self.side, self.side)
+        return _fit(matte.shown(), self.side).mean(0, keepdim=True)
 
 
 def _clips(folder: Path) -> dict[str, Video | Frames]:

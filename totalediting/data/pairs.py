@@ -5,6 +5,9 @@ h = rows of a lightmap, of `Preset.image` and `Preset.lightmap_height`. The moti
 the target I*: what is asked of the model is the appearance shot's person in the motion shot's pose,
 view and light (paper, section 4.1). In a multi-view subset the two are two views of one pose, in a
 video subset two moments.
+
+Pictures of a transparent set are put over a background here, the same for both: a new random one
+in every sample of training (`augment`), else black. In an opaque set each has its own.
 """
 
 from __future__ import annotations
@@ -17,11 +20,12 @@ import torch
 from torch import Tensor
 
 from totalediting.data import shots
+from totalediting.data.backgrounds import draw_background, put_over
 from totalediting.data.endless import EndlessDataset, Unreadable
 from totalediting.data.light_mixing import Light, draw_light
+from totalediting.data.misfit import misfitted
 from totalediting.data.shots import Shots
 from totalediting.geometry.field import Control
-from totalediting.geometry.frontal import frontalise
 from totalediting.geometry.mirroring import (
     FACE_POINTS,
     MIRROR,
@@ -29,6 +33,7 @@ from totalediting.geometry.mirroring import (
     mirrored_code,
     mirrored_lightmaps,
 )
+from totalediting.geometry.source import Source, mirrored_camera, mirrored_source
 from totalediting.geometry.space import head_centre
 from totalediting.presets import Preset
 
@@ -43,6 +48,8 @@ class Relit(NamedTuple):
 
     image: Tensor
     """(3, S, S)"""
+    foreground: Tensor
+    """(3, S, S)"""
     lightmaps: Tensor
     """(5, 3, h, 2h), as `PortraitPair.lightmaps`."""
 
@@ -50,14 +57,21 @@ class Relit(NamedTuple):
 class PortraitPair(NamedTuple):
     """Two shots of one subject, all that is known of them; a batch has a leading axis B in all."""
 
-    app_image: Tensor
-    """I_app (3, S, S), display-referred in [0, 1]."""
-    app_frontal: Tensor
-    """(6, S, S) what `frontal.frontalise` makes of it."""
+    app: Source
+    """I_app, and what is known of it; its light is in model space."""
+    app_depth: Tensor
+    """(1, S, S) planar, metres, of the appearance shot; 0 where nothing is."""
     mot_image: Tensor
     """I_mot and target I* (3, S, S)."""
+    foreground: Tensor
+    """(3, S, S) the same over black. In an opaque set its rims hold some of the background."""
+    background: Tensor
+    """(3, S, S) what is behind the subject in both pictures, display-referred; black in an opaque
+    set, where it is not known."""
+    transparent: Tensor
+    """() bool: whether foreground and background are known."""
     albedo: Tensor
-    """(3, S, S) linear, in [0, 1]; of the motion shot, as all that follows but `app_code`."""
+    """(3, S, S) linear, in [0, 1]; of the motion shot, as all that follows."""
     normal: Tensor
     """(3, S, S) unit, model space; 0 where nothing is."""
     alpha: Tensor
@@ -70,8 +84,6 @@ class PortraitPair(NamedTuple):
     """(3, S, S) canonical positions in model space; 0 where nothing is."""
     points: Tensor
     """(5, 2) pixels of side S: eyes, nose, corners of the mouth, see `sface.five_points`."""
-    app_code: Tensor
-    """e_app (54,)"""
     mot_code: Tensor
     """e_mot (54,)"""
     camera_to_world: Tensor
@@ -79,32 +91,18 @@ class PortraitPair(NamedTuple):
     intrinsics: Tensor
     """(3, 3) in pixels of side S."""
     control: Control
-    """(V, 3) each, model space."""
+    """(V, 3) each, model space; at rest without expression where `Preset.expression` is warped."""
     lightmaps: Tensor
     """(5, 3, h, 2h) normalised, model space's axes, exposed: shading is display-exposed light."""
+    seen_lightmaps: Tensor
+    """The same in the frame of the motion shot's camera, what an estimator should see in I_mot; not
+    turned from those, which have too few rows for that, but as exact as they."""
     relit: Relit | None
     """With `PortraitPairs(relit=True)`."""
     key: str
     """Of the motion shot, "<subset>/<shot>"."""
     app_key: str
     """Of the appearance shot."""
-
-
-class _Source(NamedTuple):
-    """I_app, and where it was taken from."""
-
-    image: Tensor
-    code: Tensor
-    control: Control
-    camera_to_world: Tensor
-    intrinsics: Tensor
-
-    def frontal(self, shown: Control) -> Tensor:
-        """What `frontalise` makes of it, with the expression of another bust."""
-        control = self.control.showing(shown)
-        batch = Control(*(a[None] for a in control))
-        frames = self.camera_to_world[None], self.intrinsics[None]
-        return frontalise(self.image[None], batch, *frames)[0]
 
 
 class PortraitPairs(EndlessDataset[PortraitPair]):
@@ -128,8 +126,10 @@ class PortraitPairs(EndlessDataset[PortraitPair]):
         """Make pairs.
 
         `relit` adds the motion shot in another environment, or the same if it has only one.
-        `augment` mirrors every second pair, at random, and mixes light, see `light_mixing`. In
-        `static` pairs, both shots have one pose: in a video subset they are the same.
+        `augment` mirrors every second pair, at random, mixes light (`light_mixing`), puts
+        transparent pictures over backgrounds (`backgrounds`) and moves sources as a fit would
+        (`misfit`). In `static` pairs, both shots have one pose: in a video subset they are the
+        same.
 
         Raises:
             InputError: no dataset, one of another format, no such split or subset, an empty one.
@@ -137,6 +137,7 @@ class PortraitPairs(EndlessDataset[PortraitPair]):
         self.shots = Shots(folder, split, subset)
         super().__init__(self.shots.keys, seed)
         self.side, self.rows = preset.image, preset.lightmap_height
+        self.warped = preset.expression == "warped"
         self.relit, self.augment, self.static = relit, augment, static
         self._of_subject: dict[str, list[int]] = {}
         for position, subject in enumerate(self.shots.subjects):
@@ -153,85 +154,135 @@ class PortraitPairs(EndlessDataset[PortraitPair]):
         another = (mot_light.environments[0] + 1 + int(rng.integers(max(count - 1, 1)))) % count
         turn = self.augment and bool(rng.random() < 0.5)
         try:
-            source = self._source(other, app_light)
+            source, depth = self._source(other, app_light)
         except DAMAGE as error:
             raise Unreadable(other, reason(error)) from error
         try:
-            pair = self._pair(item, mot_light, another, other, source)
+            pair = self._pair(item, mot_light, another, other, source, depth)
         except DAMAGE as error:
             raise Unreadable(item, reason(error)) from error
+        if self.augment:
+            if pair.transparent:
+                maps, lens = pair.seen_lightmaps, pair.intrinsics
+                pair = before(pair, draw_background(rng, maps, lens, self.side))
+            pair = pair._replace(app=misfitted(pair.app, rng))
         return mirrored(pair) if turn else pair
 
-    def _source(self, position: int, light: Light) -> _Source:
-        stored = self.shots.read(position, *light.members(), "geometry", "meta")
+    def _source(self, position: int, light: Light) -> tuple[Source, Tensor]:
+        """I_app, with its own expression at rest, and its depth."""
+        wanted = ("alpha", "depth", "geometry", "meta")
+        stored = self.shots.read(position, *light.members(), *wanted)
+        meta, side = stored["meta"], self.side
         origin = head_centre(stored["geometry"]["landmarks_canonical"])
-        return _Source(
-            self._picture(light, stored),
-            shots.motion_code(stored["meta"]),
-            shots.control(stored["geometry"], origin),
-            *shots.camera(stored["meta"], origin, self.side),
+        camera_to_world, intrinsics = shots.camera(meta, origin, side)
+        source = Source(
+            image=self._picture(light, stored)[0],
+            alpha=shots.alpha(stored["alpha"], side),
+            code=shots.motion_code(meta),
+            control=shots.control(stored["geometry"], origin),
+            camera_to_world=camera_to_world,
+            intrinsics=intrinsics,
+            lightmaps=self._lightmaps(meta, light),
+            to_light=torch.eye(3),
+        )
+        depth = stored["depth"]
+        return source, shots.over_surface(depth[..., None], depth > 0, side)
+
+    def _picture(self, light: Light, stored: dict[str, Any]) -> tuple[Tensor, bool]:
+        """A shot's picture, before black if it is transparent; whether it is."""
+        members = [stored[name] for name in light.members()]
+        shown = [self.shots.picture(member, self.side) for member in members]
+        return light.picture(shown), all(member.shape[-1] == 4 for member in members)
+
+    def _lightmaps(self, meta: dict[str, Any], light: Light, frame: Tensor | None = None) -> Tensor:
+        return light.lightmaps(
+            [self.shots.lightmaps(meta, e, self.rows, frame) for e in light.environments]
         )
 
-    def _picture(self, light: Light, stored: dict[str, Any]) -> Tensor:
-        return light.picture([self.shots.picture(stored[m], self.side) for m in light.members()])
-
     def _pair(
-        self, item: int, light: Light, another: int, other: int, source: _Source
+        self,
+        item: int,
+        light: Light,
+        another: int,
+        other: int,
+        app: Source,
+        app_depth: Tensor,
     ) -> PortraitPair:
-        rgb, rgb_relit = light.members(), shots.rgb_name(another)
         labels = (
             "albedo", "normal", "depth", "canonical", "alpha", "parts", "geometry", "meta",
         )  # fmt: skip
-        wanted = {*rgb, rgb_relit, *labels} if self.relit else {*rgb, *labels}
+        again = Light((another,), (torch.ones(3),))
+        wanted = {*light.members(), *again.members() * self.relit, *labels}
         stored = self.shots.read(item, *sorted(wanted))
         meta, parts, side = stored["meta"], stored["parts"], self.side
         origin = head_centre(stored["geometry"]["landmarks_canonical"])
         camera_to_world, intrinsics = shots.camera(meta, origin, side)
         control = shots.control(stored["geometry"], origin)
+        if self.warped:
+            control = shots.neutral(control, meta, origin)
         normal = self.shots.normals(stored["normal"], parts, side)
+        alpha = shots.alpha(stored["alpha"], side)
+        image, transparent = self._picture(light, stored)
         relit = None
         if self.relit:
-            relit = Relit(
-                self.shots.picture(stored[rgb_relit], side),
-                self.shots.lightmaps(meta, another, self.rows),
-            )
+            shown = self._picture(again, stored)[0]
+            over_black = shown if transparent else alpha * shown
+            relit = Relit(shown, over_black, self._lightmaps(meta, again))
         return PortraitPair(
-            app_image=source.image,
-            app_frontal=source.frontal(control),
-            mot_image=self._picture(light, stored),
+            app=app._replace(control=app.control.showing(control)),
+            app_depth=app_depth,
+            mot_image=image,
+            foreground=image if transparent else alpha * image,
+            background=torch.zeros_like(image),
+            transparent=torch.tensor(transparent),
             albedo=self.shots.albedo(stored["albedo"], stored["alpha"], side),
             normal=(camera_to_world[:3, :3] @ normal.flatten(1)).view_as(normal),
-            alpha=shots.alpha(stored["alpha"], side),
+            alpha=alpha,
             parts=shots.parts(parts, side),
             depth=shots.over_surface(stored["depth"][..., None], parts, side),
             canonical=shots.over_surface(stored["canonical"] - origin, parts, side),
             points=shots.five_points(meta, side),
-            app_code=source.code,
             mot_code=shots.motion_code(meta),
             camera_to_world=camera_to_world,
             intrinsics=intrinsics,
             control=control,
-            lightmaps=light.lightmaps(
-                [self.shots.lightmaps(meta, e, self.rows) for e in light.environments]
-            ),
+            lightmaps=self._lightmaps(meta, light),
+            seen_lightmaps=self._lightmaps(meta, light, camera_to_world[:3, :3]),
             relit=relit,
             key=self.keys[item],
             app_key=self.keys[other],
         )
 
 
+def before(pair: PortraitPair, background: Tensor) -> PortraitPair:
+    """A transparent pair, which is before black, before another background (3, S, S)."""
+    app, relit = pair.app, pair.relit
+    if relit is not None:
+        relit = relit._replace(image=put_over(relit.foreground, pair.alpha, background))
+    return pair._replace(
+        app=app._replace(image=put_over(app.image, app.alpha, background)),
+        mot_image=put_over(pair.foreground, pair.alpha, background),
+        background=background,
+        relit=relit,
+    )
+
+
 def mirrored(pair: PortraitPair) -> PortraitPair:
     """A pair as a mirror shows it, in model space and in pictures; twice gives what it was."""
-    side, m = pair.app_image.shape[-1], MIRROR
-    plane = torch.diag(torch.cat([m, m.new_ones(1)]))
-    flip = pair.intrinsics.new_tensor([[1.0, 1.0, -1.0], [1, 1, 1], [1, 1, 1]])
+    side, m = pair.mot_image.shape[-1], MIRROR
     relit = pair.relit
     if relit is not None:
-        relit = Relit(relit.image.flip(-1), mirrored_lightmaps(relit.lightmaps))
+        relit = Relit(
+            relit.image.flip(-1), relit.foreground.flip(-1), mirrored_lightmaps(relit.lightmaps)
+        )
+    camera_to_world, intrinsics = mirrored_camera(pair.camera_to_world, pair.intrinsics, side)
     return PortraitPair(
-        app_image=pair.app_image.flip(-1),
-        app_frontal=pair.app_frontal.flip(-1),
+        app=mirrored_source(pair.app),
+        app_depth=pair.app_depth.flip(-1),
         mot_image=pair.mot_image.flip(-1),
+        foreground=pair.foreground.flip(-1),
+        background=pair.background.flip(-1),
+        transparent=pair.transparent,
         albedo=pair.albedo.flip(-1),
         normal=pair.normal.flip(-1) * m[:, None, None],
         alpha=pair.alpha.flip(-1),
@@ -239,12 +290,12 @@ def mirrored(pair: PortraitPair) -> PortraitPair:
         depth=pair.depth.flip(-1),
         canonical=pair.canonical.flip(-1) * m[:, None, None],
         points=(pair.points * m[:2] + side * (1 - m[:2]) / 2)[FACE_POINTS],
-        app_code=mirrored_code(pair.app_code),
         mot_code=mirrored_code(pair.mot_code),
-        camera_to_world=plane @ pair.camera_to_world @ plane,
-        intrinsics=pair.intrinsics * flip + (1 - flip) / 2 * side,
+        camera_to_world=camera_to_world,
+        intrinsics=intrinsics,
         control=Control(*(a * m for a in pair.control)),
         lightmaps=mirrored_lightmaps(pair.lightmaps),
+        seen_lightmaps=mirrored_lightmaps(pair.seen_lightmaps),
         relit=relit,
         key=pair.key + MIRRORED,
         app_key=pair.app_key,

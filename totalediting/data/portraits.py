@@ -1,5 +1,6 @@
 """Single pictures with their light and motion: for the lightmap estimator and the tracker.
 
+Transparent pictures are put over a background (`backgrounds`), a new one in every sample.
 Everything is in the camera's frame (x right, y up, looks along -z), the only one that a picture
 shows. S = side of pictures, h = rows of a lightmap.
 
@@ -20,6 +21,7 @@ from torch import Tensor
 
 from assets_procedural.person import Person
 from totalediting.data import shots
+from totalediting.data.backgrounds import draw_background, put_over
 from totalediting.data.endless import EndlessDataset, Unreadable
 from totalediting.data.light_mixing import draw_light
 from totalediting.data.pairs import DAMAGE, reason
@@ -93,11 +95,14 @@ class Portraits(EndlessDataset[Portrait]):
             labels = self._kept(self._labels, item)
         except DAMAGE as error:
             raise Unreadable(item, reason(error)) from error
-        pictures, maps = zip(*lit, strict=True)
-        normal, alpha, parts, *truth = labels
+        pictures, maps, transparent = zip(*lit, strict=True)
+        normal, alpha, parts, lens, *truth = labels
+        image, lightmaps = light.picture(pictures), light.lightmaps(maps)
+        if all(transparent):
+            image = put_over(image, alpha, draw_background(rng, lightmaps, lens, self.side))
         portrait = Portrait(
-            image=light.picture(pictures),
-            lightmaps=light.lightmaps(maps),
+            image=image,
+            lightmaps=lightmaps,
             normal=normal,
             alpha=alpha,
             parts=parts,
@@ -107,21 +112,23 @@ class Portraits(EndlessDataset[Portrait]):
         return mirrored(portrait, self.basis) if turn else portrait
 
     def _lit(self, item: int, environment: int) -> tuple[Tensor, ...]:
-        """Picture and lightmaps of a shot in one of its environments."""
+        """Picture and lightmaps of a shot in one of its environments; whether it is transparent."""
         name = shots.rgb_name(environment)
         stored = self.shots.read(item, name, "meta")
         frame = torch.tensor(stored["meta"]["camera"]["camera_to_world"])[:3, :3]
         maps = self.shots.lightmaps(stored["meta"], environment, self.rows, frame)
-        return self.shots.picture(stored[name], self.side), maps
+        picture = self.shots.picture(stored[name], self.side)
+        return picture, maps, torch.tensor(stored[name].shape[-1] == 4)
 
     def _labels(self, item: int) -> tuple[Tensor, ...]:
-        """Normals, alpha, parts and the fields of the truth, which all light shares."""
+        """Normals, alpha, parts, lens and the fields of the truth, which all light shares."""
         stored = self.shots.read(item, "normal", "alpha", "parts", "meta")
         parts, side = stored["parts"], self.side
         return (
             self.shots.normals(stored["normal"], parts, side),
             shots.alpha(stored["alpha"], side),
             shots.parts(parts, side),
+            shots.camera(stored["meta"], np.zeros(3), side)[1],
             *self._truth(item, stored["meta"]),
         )
 

@@ -19,8 +19,10 @@ import torch
 from scipy import sparse
 from torch import Tensor
 
+from assets_procedural.body.head import HeadModel
 from assets_procedural.conventions.colour import display, srgb_decode
-from assets_procedural.motion.poses import ARKIT_NAMES
+from assets_procedural.motion.poses import ARKIT_NAMES, Pose
+from assets_procedural.person import Person
 from synthgen.dataset import FORMAT, FORMATS, averaged, curve, open_dataset
 from totalediting.errors import InputError
 from totalediting.geometry.field import Control
@@ -159,6 +161,24 @@ def control(geometry: dict[str, np.ndarray], origin: np.ndarray) -> Control:
     )
 
 
+def neutral(control: Control, meta: dict[str, Any], origin: np.ndarray) -> Control:
+    """A control whose bust at rest has no expression.
+
+    Raises:
+        ValueError: the control points are not those of the head model's skin.
+    """
+    person = Person.model_validate(meta["person"])
+    rest = _head().identity(person).pose(Pose()).canonical
+    skin = _head().groups["skin"]
+    if control.posed.shape != (len(skin), 3):
+        raise ValueError(f"{len(control.posed)} control points, the bust's skin has {len(skin)}")
+    points, normals = rest.vertices[skin] - origin, rest.normals[skin]
+    return control._replace(
+        canonical=torch.from_numpy(points).float(),
+        canonical_normals=torch.from_numpy(np.asarray(normals)).float(),
+    )
+
+
 def picture(stored: np.ndarray, side: int, format: int = FORMAT) -> Tensor:
     """(H, W, 3 | 4) uint8 to (3, side, side) in [0, 1]; a transparent picture is put on black.
 
@@ -228,6 +248,11 @@ def area(values: np.ndarray, side: int) -> np.ndarray:
     tall = (_overlap(height, side) @ values.reshape(height, -1)).reshape(side, width, channels)
     wide = _overlap(width, side) @ tall.swapaxes(0, 1).reshape(width, -1)
     return wide.reshape(side, side, channels).swapaxes(0, 1)
+
+
+@lru_cache(maxsize=1)
+def _head() -> HeadModel:
+    return HeadModel.load()
 
 
 @lru_cache(maxsize=16)

@@ -33,6 +33,10 @@ class Control(NamedTuple):
         """These points where they are, and at rest with the expression of another bust."""
         return self._replace(canonical=other.canonical, canonical_normals=other.canonical_normals)
 
+    def back(self) -> Control:
+        """The way from canonical to posed space: the two change places."""
+        return Control(self.canonical, self.posed, self.canonical_normals, self.posed_normals)
+
 
 class Field(NamedTuple):
     """T and R at P points: `position` (..., P, 3) metres, `quaternion` (..., P, 4) as (w, x, y, z).
@@ -107,21 +111,29 @@ class Table:
         Raises:
             ValueError: shapes that do not fit.
         """
+        found = self._values_at(points, self.values)
+        quaternion = functional.normalize(found[..., 3:], dim=-1)
+        return Field(points + found[..., :3], quaternion)
+
+    @torch.no_grad()
+    def positions(self, points: Tensor) -> Tensor:
+        """T alone, (..., P, 3), which takes half of the time; as `__call__`."""
+        return points + self._values_at(points, self.values[:, :3])
+
+    def _values_at(self, points: Tensor, values: Tensor) -> Tensor:
         check_points(points)
         if points.shape[:-2] != self.lead:
             raise ValueError(f"points must be {(*self.lead, 'P', 3)}, got {tuple(points.shape)}")
-        flat = points.reshape(len(self.values), -1, 3)
-        position, quaternion = torch.empty_like(flat), flat.new_empty(*flat.shape[:-1], 4)
+        flat = points.reshape(len(values), -1, 3)
+        found = flat.new_empty(*flat.shape[:-1], values.shape[1])
         unit = 2 / (self.high - self.low)
         for part in range(0, flat.shape[1], _LOOKUPS):
             here = slice(part, part + _LOOKUPS)
             place = (flat[:, here] - self.low) * unit - 1
-            found = functional.grid_sample(
-                self.values, place[:, :, None, None], padding_mode="border", align_corners=True
+            found[:, here] = functional.grid_sample(
+                values, place[:, :, None, None], padding_mode="border", align_corners=True
             )[..., 0, 0].mT
-            position[:, here] = flat[:, here] + found[..., :3]
-            quaternion[:, here] = functional.normalize(found[..., 3:], dim=-1)
-        return Field(position.reshape(points.shape), quaternion.reshape(*points.shape[:-1], 4))
+        return found.reshape(*points.shape[:-1], -1)
 
 
 @torch.no_grad()

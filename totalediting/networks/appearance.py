@@ -8,9 +8,11 @@ see them in [-1, 1] together with x and y of each pixel. The design is that of t
 and the atrous pyramid of DeepLabv3 (Chen et al. 2017) sees what is where, five convolutions at half
 the side keep what is fine. The norms are over groups, not over the batch.
 
-Where we depart from it: the fine branch does not see the picture itself but the picture laid onto
-the bust (`frontal`), and that mirrored, which shows what the pose hides; so detail lies where the
-planes hold it. The global branch sees all three.
+Where we depart from it: the fine branch also sees what of the source's light can be told from its
+picture (`shown.Sheet`). Its features stay aligned with the picture's pixels, and are looked up
+where canonical points appear: for the tri-planes on the front of the bust (`lay`), so that detail
+lies where the planes hold it, and a few of them at every point that is shaded. The global branch
+sees the picture and what was looked up on the front.
 """
 
 from __future__ import annotations
@@ -22,12 +24,13 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from totalediting.geometry.frontal import CHANNELS, LAID, both_sides
+from totalediting.geometry import shown
+from totalediting.geometry.shown import PIXEL, SIGHT, Sheet, Shown
 from totalediting.networks.blocks import ResidualBlock, conv, conv_norm, coordinates, norm
 from totalediting.presets import Preset
 
-_FINE = LAID + 2  # channels that the fine branch sees: laid, mirrored, x and y
-_SEEN = _FINE + 3  # and the global branch, which sees the picture as well
+_FINE = PIXEL + 2  # channels that the fine branch sees: the source's pixels, x and y
+_SEEN = PIXEL + 2 * SIGHT + 2  # and the global branch: both sides of the front as well
 _DEPTHS = (3, 4, 6, 3)  # blocks in the stages of ResNet-34, for pictures of _SIDE
 _SIDE = 512
 
@@ -39,11 +42,12 @@ class Appearance(NamedTuple):
     """(B, global_channels, S / 8, S / 8): what is where."""
     detail: Tensor
     """(B, detail_channels, S / 2, S / 2): texture and edges, on the bust's front."""
+    shown: Shown
+    """What decoders see of the source at points."""
 
 
 class AppearanceEncoder(nn.Module):
-    """E_app: pictures (B, 3, S, S) in [0, 1], as they are and laid onto the bust, to
-    `Appearance`."""
+    """E_app: sources with pictures of side S, as sheets, to `Appearance`."""
 
     xy: Tensor
 
@@ -63,26 +67,37 @@ class AppearanceEncoder(nn.Module):
         self.trunk = _trunk(preset)
         self.pyramid = _AtrousPyramid(2 * preset.global_channels, preset)
         self.detail = _detail(preset.detail_channels)
+        self.align = conv(preset.detail_channels, preset.aligned_channels, 1)
+        self.lay = conv(preset.detail_channels + 2 * SIGHT, preset.detail_channels)
 
-    def forward(self, image: Tensor, frontal: Tensor) -> Appearance:
-        """Encode pictures (B, 3, S, S) in [0, 1]; `frontal` is what `frontalise` makes of them.
+    def forward(self, sheet: Sheet) -> Appearance:
+        """Encode what sources show.
 
         Raises:
-            ValueError: other shapes than (B, 3, S, S) and (B, 6, S, S).
+            ValueError: pixels of another shape than (B, 9, S, S).
         """
         side = self.xy.shape[-1]
-        for name, x, channels in (("image", image, 3), ("frontal", frontal, CHANNELS)):
-            if x.ndim != 4 or x.shape[1:] != (channels, side, side):
-                wanted = f"(B, {channels}, {side}, {side})"
-                raise ValueError(f"{name} must be {wanted}, got {tuple(x.shape)}")
-        xy = self.xy.to(image).expand(len(image), -1, -1, -1)
-        laid = torch.cat([both_sides(frontal), xy], 1)
-        seen = torch.cat([2 * image - 1, laid], 1)
-        return Appearance(self.pyramid(self.trunk(seen)), self.detail(laid))
+        if sheet.pixels.ndim != 4 or sheet.pixels.shape[1:] != (PIXEL + 1, side, side):
+            wanted = f"(B, {PIXEL + 1}, {side}, {side})"
+            raise ValueError(f"pixels must be {wanted}, got {tuple(sheet.pixels.shape)}")
+        xy = self.xy.to(sheet.pixels).expand(len(sheet.pixels), -1, -1, -1)
+        detail = self.detail(torch.cat([sheet.seen, xy], 1))
+
+        half = side // 2
+        points = shown.on_front(sheet, half)
+        sights, laid = shown.looked_up(sheet, detail.float(), points)
+        sights, laid = (a.mT.unflatten(-1, (half, half)) for a in (sights, laid))
+        front = functional.interpolate(sights, (side, side), mode="bilinear")
+        seen = torch.cat([sheet.seen, front, xy], 1)
+        return Appearance(
+            self.pyramid(self.trunk(seen)),
+            self.lay(torch.cat([laid, sights], 1)),
+            Shown(sheet, self.align(detail).float()),
+        )
 
 
 def _trunk(preset: Preset) -> nn.Sequential:
-    """(B, 15, S, S) -> (B, 2 global_channels, S / 8, S / 8): ResNet-34 with an output stride of 8.
+    """(B, 30, S, S) -> (B, 2 global_channels, S / 8, S / 8): ResNet-34 with an output stride of 8.
 
     Widths are ResNet-34's where global_channels is 256. A picture of half the side gets half the
     blocks, so that a feature sees about the same share of it.
@@ -101,7 +116,7 @@ def _trunk(preset: Preset) -> nn.Sequential:
 
 
 def _detail(out: int) -> nn.Sequential:
-    """(B, 12, S, S) -> (B, out, S / 2, S / 2): five convolutions, without norms, as in Lp3D."""
+    """(B, 10, S, S) -> (B, out, S / 2, S / 2): five convolutions, without norms, as in Lp3D."""
     layers: list[nn.Module] = [conv(_FINE, out, 7, 2)]
     for _ in range(4):
         layers += [nn.LeakyReLU(0.01), conv(out, out)]

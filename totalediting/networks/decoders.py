@@ -1,24 +1,35 @@
 """Point-wise decoders: what a point of the volume is, from the tri-planes' features there.
 
-Symbols: B batch, N points, C = preset.plane_channels, L = frontal.LAID, h rows of a lightmap; t_geo
-features of the geometry's tri-plane (B, N, C), i how far points are inside the skin, t_shd features
-of the shading's tri-plane and of the source laid onto the bust (B, N, C + L). Vectors are unit and
-in model space (metres, Z up), posed unless called canonical: normal n, view v (from the point to
-the viewer), r = v reflected at n. Lightmaps have a frame of their own, into which `to_light` takes
-model space. Light, colour and shadings are linear Rec.709, or display-referred where
+Symbols: B batch, N points, C = preset.plane_channels, L = `shown_channels`, h rows of a lightmap;
+t_geo features of the geometry's tri-plane (B, N, C), x where points are on the planes, i how far
+inside the skin, t_shd features of the shading's tri-plane, the skin's canonical normal
+(`relief.skin_normal`) and what the source shows (`shown.Shown`) (B, N, C + 3 + L). Vectors are unit
+and in model space (metres, Z up), posed unless called canonical: normal n, view v (from the point
+to the viewer), r = v reflected at n. Lightmaps have a frame of their own, into which `to_light`
+takes model space. Light, colour and shadings are linear Rec.709, or display-referred where
 `preset.colour` is "srgb".
 
-    sigma = D_geo([t_geo, i])                   n^c, a', w = D_f(t_shd)
-    a = sigmoid(logit(source) + a')
+    sigma = D_geo([t_geo, i, x, shown])         n', a', w = D_f(t_shd)
+    n^c = (n^skin + n') / |n^skin + n'|         a = sigmoid(logit(source) + a')
     k_d = D_d([t_shd, n])                       k_s(e) = D_s([t_shd, r])
-    delta = D_delta([a, s_d, s_s(e) ...])
+    delta = D_delta(a, n, t_shd) . [s_d, s_s(e) ...]
     c = k_d a * s_d + sum_e k_s(e) s_s(e) + delta                (paper, section 3.3, eq. render)
 
-The source is the colour that I_app shows at the point: the albedo starts there, and D_f takes light
-and shadow off it. Hidden layers are Softplus, as in EG3D (Chan et al. 2022). First and last layers
-are drawn so that a fresh network is the bust in a translucent fog (`FRESH`), with the source's
-colour, k_d = 1, small k_s and no residual. These networks are small and must become steep, so they
-learn at `PACE` times the rate of the others.
+The source is the colour that I_app shows at the point, its light divided out: the albedo starts
+there, as the normal does at the skin's, and D_f takes off what that leaves. The residual is a sum
+of shadings, so that all is linear in light; `preset.residual` "paper" is the paper's
+D_delta([a, s_d, s_s(e) ...]) instead.
+With `preset.occlusion` "lobes", diffuse light is gathered through a few lobes more, a s' with
+
+    s' = k_d s_d + sum_j sum_e c_j(e) s_s(e) at R^-1 b_j         c_j >= 0, b_j canonical axes
+
+as low-frequency radiance transfer (Sloan et al. 2002) in the lightmaps that there are: what is
+shaded from one side lowers k_d and looks to the other. It stays linear in light.
+
+Hidden layers are Softplus, as in EG3D (Chan et al. 2022). First and last layers are drawn so that a
+fresh network is the bust in a translucent fog (`FRESH`) where the source covers its background,
+with the bust's normals, the source's colour, k_d = 1, small k_s and no residual. These networks are
+small and must become steep, so they learn at `PACE` times the rate of the others.
 """
 
 from __future__ import annotations
@@ -31,7 +42,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from totalediting.geometry.frontal import LAID, colour_of
+from totalediting.geometry.shown import COVERAGE, SIGHT, colour_of
 from totalediting.light.lightmaps import LOBES, SHININESS, encode, sample
 from totalediting.light.phong import display, reflect, undisplay
 from totalediting.networks.blocks import linear
@@ -47,12 +58,22 @@ FRESH = -3.0
 """Mean of a fresh x: about 0.9 / m, which stops two fifths of the light across a box of 0.6 m."""
 FULL = 12.0
 """How much larger a fresh x is inside the skin: 400 / m, which stops all light within 1 cm."""
+CLEAR = 6.0
+"""How much smaller it is where the source shows that nothing covers its background."""
 SKIN = 0.016
 """Thickness over which that rises, in places: 2 mm at the face, see `space`."""
+HAIR = 0.25
+"""How far from the skin hair and clothes can be told from nothing, in places: 3 cm at the face."""
 PACE = 6.0
 """Their learning rate relative to the rest; instant-NGP's for such networks is 1e-2."""
-FRESH_SPECULAR = 0.05
-"""A fresh specular coefficient, about the reflectance of skin at grazing and frontal angles."""
+LOBES_OF_TRANSFER = 3
+"""Axes b_j of a point, with `occlusion` "lobes"."""
+_FAINT = -4.0  # before Softplus: fresh weights c_j of 0.018
+FRESH_SPECULAR = 0.01
+"""A fresh specular coefficient: the four add up to the reflectance of skin, 0.04."""
+
+_TRIPOD = (0.8, 0.0, -0.4, -0.8, 0.0, -0.4, 0.0, 0.0, 0.8)
+"""Added to n^c, fresh axes b_j: to both sides and up."""
 
 ToPosed = Callable[[Tensor], Tensor]
 """Turns canonical directions (B, N, 3) into posed ones: `Field.to_posed` at the points."""
@@ -70,7 +91,7 @@ class Shading(NamedTuple):
     canonical_normal: Tensor
     """n^c, unit."""
     diffuse: Tensor
-    """k_d a * s_d."""
+    """k_d a * s_d, and what transfer lobes add."""
     specular: Tensor
     """The sum of k_s(e) s_s(e)."""
     residual: Tensor
@@ -88,39 +109,56 @@ class Shading(NamedTuple):
 
 
 class GeometryDecoder(nn.Module):
-    """D_geo: features (B, N, C) and `frontal.inside` (B, N) to density sigma (B, N) in 1/metre,
-    positive."""
+    """D_geo: features (B, N, C), `relief.inside` (B, N), the place itself (B, N, 3) as of
+    `space.on_planes`, and what the source shows (B, N, L), to density sigma (B, N) in 1/metre,
+    positive.
+
+    What the source covers there tells hair and clothes from nothing (space carving, Kutulakos and
+    Seitz 2000).
+    """
 
     def __init__(self, preset: Preset) -> None:
         super().__init__()
-        self.net = _mlp(preset.plane_channels + 1, preset.hidden, 1)
+        self.net = _mlp(preset.plane_channels + 5 + shown_channels(preset), preset.hidden, 1)
         _start(self.net, [FRESH], 1.0)
 
-    def forward(self, features: Tensor, inside: Tensor) -> Tensor:
+    def forward(self, features: Tensor, inside: Tensor, places: Tensor, seen: Tensor) -> Tensor:
         skin = torch.sigmoid(inside / SKIN)
-        known = torch.cat([features, 2 * skin[..., None] - 1], -1)
-        x = self.net(known)[..., 0] + FULL * skin
+        near = torch.stack([2 * skin - 1, torch.tanh(inside / HAIR)], -1)
+        known = torch.cat([features, near, places, seen], -1)
+        covered = (1 + seen[..., COVERAGE]) / 2
+        x = self.net(known)[..., 0] + FULL * skin - CLEAR * (1 - skin) * (1 - covered)
         return DENSITY_SCALE * functional.softplus(x - 1.0)
 
 
 class ShadingDecoder(nn.Module):
     """D_shd of the paper's figure "Shading module": D_f, D_d, D_s and D_delta around lightmaps.
 
-    D_delta sees shadings as log(1 + s), the scale that lightmaps are predicted in: beside a sun of
-    1000, an albedo would be nothing to it.
+    The paper's D_delta sees shadings as log(1 + s), the scale that lightmaps are predicted in:
+    beside a sun of 1000, an albedo would be nothing to it.
     """
 
     def __init__(self, preset: Preset) -> None:
         super().__init__()
-        channels, hidden = preset.plane_channels + LAID, preset.hidden
+        channels, hidden = preset.plane_channels + 3 + shown_channels(preset), preset.hidden
+        self.shown = shown_channels(preset)
+        self.linear = preset.residual == "linear"
         self.surface = _surface(preset)
         self.diffuse = _mlp(channels + 3, hidden, 1)
         _start(self.diffuse, [0.0], 0.05)
         self.specular = _mlp(channels + 3, hidden, len(SHININESS))
+        self.transfer = None
+        if preset.occlusion == "lobes":
+            count = LOBES_OF_TRANSFER * len(SHININESS)
+            self.transfer = _mlp(channels, hidden, 3 * LOBES_OF_TRANSFER + count)
+            _start(self.transfer, [*_TRIPOD, *[_FAINT] * count], 0.05)
         unlit = math.log(FRESH_SPECULAR / (1.0 - FRESH_SPECULAR))
         _start(self.specular, [unlit] * len(SHININESS), 0.05)
-        self.residual = _mlp(3 + 3 * len(LOBES), hidden, 3)
-        _start(self.residual, [0.0, 0.0, 0.0], 0.0)
+        if self.linear:
+            self.residual = _mlp(channels + 6, hidden, 3 * len(LOBES))
+        else:
+            self.residual = _mlp(3 + 3 * len(LOBES), hidden, 3)
+        _start(self.residual, [0.0] * (3 * len(LOBES) if self.linear else 3), 0.0)
 
     def forward(
         self, features: Tensor, to_posed: ToPosed, view: Tensor, lightmaps: Tensor, to_light: Tensor
@@ -128,7 +166,7 @@ class ShadingDecoder(nn.Module):
         """Shading of points.
 
         Args:
-            features: (B, N, C + L), t_shd.
+            features: (B, N, C + 3 + L), t_shd.
             to_posed: turns n^c into n.
             view: (B, N, 3), v.
             lightmaps: (B, 5, 3, h, 2h), normalised and >= 0, as `lightmaps.bake` makes them.
@@ -139,8 +177,8 @@ class ShadingDecoder(nn.Module):
         """
         _check(features, view, lightmaps, to_light)
         direction, added, w = self.surface(features).tensor_split((3, 6), -1)
-        albedo = torch.sigmoid(torch.logit(_source(features)) + added)
-        canonical = functional.normalize(direction, dim=-1)
+        albedo = torch.sigmoid(torch.logit(_source(features, self.shown)) + added)
+        canonical = functional.normalize(_skin(features, self.shown) + direction, dim=-1)
         normal = to_posed(canonical)
         reflected = reflect(view, normal)
 
@@ -148,10 +186,24 @@ class ShadingDecoder(nn.Module):
         s_s = sample(lightmaps[:, 1:].flatten(1, 2), _turn(to_light, reflected))
         k_d = 2.0 * torch.sigmoid(self.diffuse(torch.cat([features, normal], -1)))
         k_s = torch.sigmoid(self.specular(torch.cat([features, reflected], -1)))
-        residual = self.residual(torch.cat([albedo, encode(s_d), encode(s_s)], -1))
+        if self.linear:
+            shares = self.residual(torch.cat([features, albedo, normal], -1))
+            shadings = torch.cat([s_d, s_s], -1).unflatten(-1, (len(LOBES), 3))
+            residual = (shares.unflatten(-1, (len(LOBES), 3)) * shadings).sum(-2)
+        else:
+            residual = self.residual(torch.cat([albedo, encode(s_d), encode(s_s)], -1))
 
         s_s = s_s.unflatten(-1, (len(SHININESS), 3))
-        diffuse, specular = k_d * albedo * s_d, (k_s[..., None] * s_s).sum(-2)
+        gathered = k_d * s_d
+        if self.transfer is not None:
+            axes, c = self.transfer(features).tensor_split([3 * LOBES_OF_TRANSFER], -1)
+            axes = axes.unflatten(-1, (LOBES_OF_TRANSFER, 3)) + canonical[..., None, :]
+            c = functional.softplus(c).unflatten(-1, (LOBES_OF_TRANSFER, len(SHININESS), 1))
+            for j in range(LOBES_OF_TRANSFER):
+                axis = to_posed(functional.normalize(axes[..., j, :], dim=-1))
+                seen = sample(lightmaps[:, 1:].flatten(1, 2), _turn(to_light, axis))
+                gathered = gathered + (c[..., j, :, :] * seen.unflatten(-1, (-1, 3))).sum(-2)
+        diffuse, specular = gathered * albedo, (k_s[..., None] * s_s).sum(-2)
         return Shading(
             colour=diffuse + specular + residual,
             albedo=albedo,
@@ -179,6 +231,7 @@ class PlainDecoder(nn.Module):
     def __init__(self, preset: Preset) -> None:
         super().__init__()
         self.surface = _surface(preset)
+        self.shown = shown_channels(preset)
         self.linear = preset.colour == "linear"
 
     def forward(
@@ -187,7 +240,8 @@ class PlainDecoder(nn.Module):
         """As `ShadingDecoder.forward`; of view, lightmaps and to_light only the shapes count."""
         _check(features, view, lightmaps, to_light)
         direction, added, w = self.surface(features).tensor_split((3, 6), -1)
-        canonical, source = functional.normalize(direction, dim=-1), _source(features)
+        canonical = functional.normalize(_skin(features, self.shown) + direction, dim=-1)
+        source = _source(features, self.shown, False)
         if self.linear:
             colour = functional.softplus(source.expm1().log() + added)
         else:
@@ -222,24 +276,35 @@ class Decoders(nn.Module):
         self.shading = PlainDecoder(preset) if plain else ShadingDecoder(preset)
 
 
+def shown_channels(preset: Preset) -> int:
+    """Channels of what `shown.Shown` gives."""
+    return 2 * (SIGHT + preset.aligned_channels)
+
+
 def _mlp(inputs: int, hidden: int, outputs: int) -> nn.Sequential:
     return nn.Sequential(linear(inputs, hidden), nn.Softplus(), linear(hidden, outputs))
 
 
-def _source(features: Tensor) -> Tensor:
-    """(B, N, 3) linear colour that the source shows, from t_shd; within (0, 1)."""
-    return undisplay(colour_of(features[..., -LAID:])).clamp(0.01, 0.99)
+def _source(features: Tensor, shown: int, unlit: bool = True) -> Tensor:
+    """(B, N, 3) linear colour that the source shows, from t_shd whose last `shown` channels tell
+    it; within (0, 1). Unlit it is about the albedo."""
+    return undisplay(colour_of(features[..., -shown:], unlit)).clamp(0.01, 0.99)
+
+
+def _skin(features: Tensor, shown: int) -> Tensor:
+    """(B, N, 3) the skin's canonical normal, from t_shd whose last `shown` channels follow it."""
+    return features[..., -shown - 3 : -shown]
 
 
 def _surface(preset: Preset) -> nn.Sequential:
-    """Features to a direction, what is added to the source's colour before the activation, and w:
-    3 + 3 + preset.features."""
-    net = _mlp(preset.plane_channels + LAID, preset.hidden, 6 + preset.features)
-    # Normals start towards the face's side: one near zero would turn with every step.
-    _start(net, [0.0, -1.0, 0.0] + [0.0] * (3 + preset.features), 1.0)
+    """Features to what is added to the skin's normal and to the source's colour before the
+    activation, and w: 3 + 3 + preset.features."""
+    inputs = preset.plane_channels + 3 + shown_channels(preset)
+    net = _mlp(inputs, preset.hidden, 6 + preset.features)
+    _start(net, [0.0] * (6 + preset.features), 1.0)
     last = net[-1]
     assert isinstance(last, nn.Linear)
-    nn.init.zeros_(last.weight[3:6])
+    nn.init.zeros_(last.weight[:6])
     return net
 
 

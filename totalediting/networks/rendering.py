@@ -1,10 +1,10 @@
 """The picture of two tri-planes: samples on rays, moved to canonical space, decoded, integrated.
 
-Symbols: B batch, h = preset.neural, R = h^2 rays (row by row), S = coarse + fine samples on a ray,
-N points. Model space and canonical space: metres, Z up, the head looks along -Y, the origin in its
-middle. Rays are sampled in the box of posed model space; planes hold the same box of canonical
-space, both as `space` says. Cameras as in `totalediting.geometry.volume`, with `camera_to_world`
-into model space. Volume rendering is in single precision, also under autocast.
+Symbols: B batch, h = preset.neural, R = h^2 rays (row by row), S samples on a ray, N points. Model
+space and canonical space: metres, Z up, the head looks along -Y, the origin in its middle. Rays are
+sampled in the box of posed model space; planes hold the same box of canonical space, both as
+`space` says. Cameras as in `totalediting.geometry.volume`, with `camera_to_world` into model space.
+Volume rendering is in single precision, also under autocast.
 """
 
 from __future__ import annotations
@@ -14,22 +14,20 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
-from torch.nn import functional
 from torch.utils.checkpoint import checkpoint
 
 from totalediting.geometry import volume
 from totalediting.geometry.field import Field
-from totalediting.geometry.frontal import inside
+from totalediting.geometry.relief import skin_normal
 from totalediting.geometry.space import box, on_planes
 from totalediting.networks.decoders import Decoders, Shading, ToPosed
+from totalediting.networks.density import Looks, Volume, density, full
 from totalediting.presets import Preset
 
-NORMAL_STEP = 2e-3
-"""Metres on either side of a point between which the density's gradient is measured: about a texel
-of the finest preset's planes, 2.3 mm, within which bilinear look-ups have no detail."""
-JITTER = 2.4e-3
-"""Standard deviation in metres, along each axis, of the shift in `density_jitter`: 0.004 of the
-box's side, as in EG3D."""
+AROUND = 0.03
+"""Metres before and behind the bust's skin where most samples lie."""
+BEFORE, BEHIND = 0.15, 0.2
+"""Metres before and behind it where a ray begins and ends: hair and clothes are not thicker."""
 
 Deformation = Callable[[Tensor], Field]
 """T and R at points (B, P, 3) of posed space: a `field.Table`, or any other callable like it."""
@@ -74,7 +72,8 @@ class Rendering(NamedTuple):
 def render(
     geometry_planes: Tensor,
     shading_planes: Tensor,
-    laid: Tensor,
+    relief: Tensor,
+    shown: Looks,
     decoders: Decoders,
     camera_to_world: Tensor,
     intrinsics: Tensor,
@@ -83,17 +82,20 @@ def render(
     deformation: Deformation | None,
     preset: Preset,
     generator: torch.Generator | None = None,
+    skin: Tensor | None = None,
     chunk: int | None = None,
     side: int | None = None,
 ) -> Rendering:
     """Volume-render h x h pixels (paper, sections 3.1 "image formation" and 3.3).
 
-    A first pass finds where on a ray there is density; it has no gradient. The second decodes all
-    samples, those of the first once more.
+    Where the bust's `skin` is known, samples lie about it. Else a first pass finds where on a ray
+    there is density; it has no gradient. The second decodes all samples, those of the first once
+    more.
 
     Args:
         geometry_planes, shading_planes: (B, 3, C, H, W), see `volume.triplane`.
-        laid: (B, LAID, S, S) what the source shows, see `frontal.both_sides`.
+        relief: (B, 8, n, n) of the bust at rest, see `relief`.
+        shown: what the source shows of canonical points.
         decoders: `geometry` and `shading`.
         camera_to_world: (B, 4, 4) into model space.
         intrinsics: (B, 3, 3) for a picture of h x h, see `volume.resize_intrinsics`.
@@ -102,6 +104,8 @@ def render(
             `preset.rotation` is "none", its positions count but normals stay canonical.
         generator: places samples at random in their strata, on the device of the planes; without
             one they lie in the middle.
+        skin: (B, 1, h, h) planar depth of the bust's nearest skin, metres, infinite where there is
+            none near; None for two passes.
         chunk: rays at once. The result is the same, to rounding; of a chunk only the result is kept
             for the backward pass, which computes the rest again.
 
@@ -114,29 +118,30 @@ def render(
     side = preset.neural if side is None else side
     with torch.autocast(geometry_planes.device.type, enabled=False):
         subject = _Subject(
-            geometry_planes=_full(geometry_planes),
-            shading_planes=_full(shading_planes),
-            laid=_full(laid),
+            geometry_planes=full(geometry_planes),
+            shading_planes=full(shading_planes),
+            relief=full(relief),
+            shown=shown,
             decoders=decoders,
-            lightmaps=_full(lightmaps),
-            to_light=_full(to_light),
+            lightmaps=full(lightmaps),
+            to_light=full(to_light),
             deformation=deformation,
             turned=preset.rotation != "none",
         )
-        camera_to_world = _full(camera_to_world)
-        origin, direction = volume.rays(camera_to_world, _full(intrinsics), side, side)
+        camera_to_world = full(camera_to_world)
+        origin, direction = volume.rays(camera_to_world, full(intrinsics), side, side)
         directions = direction.flatten(1, 2)
         origins = origin.flatten(1, 2).expand_as(directions)
         near, far, _ = volume.box_interval(origins, directions, *box(directions))
 
         # All random numbers are drawn for all rays at once, so that chunks do not change them.
         with torch.no_grad():
-            coarse = volume.stratified(near, far, preset.coarse_samples, generator)
-            rays = _Rays(origins, directions, near, far, coarse)
-            weights = torch.cat([_decode(subject, part)[0] for part in rays.split(chunk)], 1)
-            weights = volume.widen(weights)
-            fine = volume.importance(weights, coarse, near, far, preset.fine_samples, generator)
-            rays = rays._replace(distances=volume.merge(coarse, fine)[0])
+            rays = _Rays(origins, directions, near, far, near[..., None])
+            if skin is None:
+                rays = _by_importance(subject, rays, preset, generator, chunk)
+            else:
+                slope = -(directions * camera_to_world[:, None, :3, 2]).sum(-1)
+                rays = _about(skin.flatten(1) / slope, rays, preset, generator)
 
         if chunk is None:
             found = _integrate(subject, rays)
@@ -173,57 +178,10 @@ def render(
     )
 
 
-Geometry = Callable[[Tensor, Tensor], Tensor]
-"""A `GeometryDecoder`, or any other callable like it."""
-
-
-def density(planes: Tensor, laid: Tensor, geometry: Geometry, points: Tensor) -> Tensor:
-    """sigma (B, N) in 1/metre at canonical `points` (B, N, 3) of geometry `planes` and of what is
-    `laid` on them. Single precision, also under autocast."""
-    with torch.autocast(planes.device.type, enabled=False):
-        places = on_planes(_full(points))
-        return geometry(volume.triplane(_full(planes), places), inside(_full(laid), places))
-
-
-def density_normals(planes: Tensor, laid: Tensor, geometry: Geometry, points: Tensor) -> Tensor:
-    """-grad sigma / |grad sigma| (B, N, 3) at canonical `points` (B, N, 3): where surfaces face.
-
-    Central differences over `NORMAL_STEP`, six densities a point: `grid_sample` has no second
-    derivative, and a difference over a texel does not see the creases of bilinear look-ups. The
-    result is a first-order graph, differentiable in planes and decoder; under `no_grad` it is a
-    target. Where sigma changes by less than 1/metre in a metre, vectors are shorter than 1, down to
-    0: nothing faces anywhere there.
-    """
-    if points.ndim != 3 or points.shape[-1] != 3:
-        raise ValueError(f"points must be (B, N, 3), got {tuple(points.shape)}")
-    points = _full(points)
-    shifts = NORMAL_STEP * torch.eye(3, dtype=points.dtype, device=points.device)
-    around = points[:, None] + torch.cat([shifts, -shifts])[:, None]
-    found = density(planes, laid, geometry, around.flatten(1, 2)).unflatten(1, (2, 3, -1))
-    gradient = (found[:, 0] - found[:, 1]).mT / (2.0 * NORMAL_STEP)
-    return -functional.normalize(gradient, dim=-1, eps=1.0)
-
-
-def density_jitter(
-    planes: Tensor,
-    laid: Tensor,
-    geometry: Geometry,
-    count: int,
-    generator: torch.Generator,
-) -> tuple[Tensor, Tensor]:
-    """sigma (B, count) at points anywhere in the box, and where a jitter takes them, in 1/metre.
-
-    Their mean absolute difference is EG3D's total variation. Points are uniformly distributed, the
-    jitter is normal with `JITTER`; `generator` is on the device of the planes.
-    """
-    low, high = box(_full(planes))
-    size = (len(planes), count, 3)
-    place = torch.rand(size, generator=generator, dtype=low.dtype, device=low.device)
-    shift = torch.randn(size, generator=generator, dtype=low.dtype, device=low.device)
-    points = torch.lerp(low, high, place)
-    both = torch.cat([points, points + JITTER * shift], 1)
-    at, beside = density(planes, laid, geometry, both).split(count, 1)
-    return at, beside
+def shading_features(planes: Tensor, relief: Tensor, points: Tensor, seen: Tensor) -> Tensor:
+    """t_shd (B, N, C + 3 + L) at canonical points (B, N, 3), of which the source shows `seen`."""
+    places = on_planes(points)
+    return torch.cat([volume.triplane(planes, places), skin_normal(relief, places), seen], -1)
 
 
 class _Subject(NamedTuple):
@@ -231,7 +189,8 @@ class _Subject(NamedTuple):
 
     geometry_planes: Tensor
     shading_planes: Tensor
-    laid: Tensor
+    relief: Tensor
+    shown: Looks
     decoders: Decoders
     lightmaps: Tensor
     to_light: Tensor
@@ -272,8 +231,9 @@ class _Integrals(NamedTuple):
     canonical_normals: Tensor
 
 
-def _decode(subject: _Subject, rays: _Rays) -> tuple[Tensor, Tensor, ToPosed]:
-    """Weights (B, R, S) and canonical points (B, R * S, 3) of samples; what turns normals there."""
+def _decode(subject: _Subject, rays: _Rays) -> tuple[Tensor, Tensor, Tensor, ToPosed]:
+    """Weights (B, R, S) and canonical points (B, R * S, 3) of samples, what the source shows of
+    them, and what turns normals there."""
     points = volume.along(rays.origins, rays.directions, rays.distances).flatten(1, 2)
     to_posed: ToPosed = _unturned
     if subject.deformation is not None:
@@ -281,22 +241,18 @@ def _decode(subject: _Subject, rays: _Rays) -> tuple[Tensor, Tensor, ToPosed]:
         points = deformed.position
         if subject.turned:
             to_posed = deformed.to_posed
-    sigma = density(subject.geometry_planes, subject.laid, subject.decoders.geometry, points)
+    seen = subject.shown(points)
+    geometry = subject.decoders.geometry
+    of = Volume(subject.geometry_planes, subject.relief, subject.shown, geometry)
+    sigma = density(of, points, seen)
     sigma = sigma.view_as(rays.distances)
     weights = volume.quadrature(sigma, rays.distances, rays.near, rays.far)
-    return weights, points, to_posed
+    return weights, points, seen, to_posed
 
 
 def _integrate(subject: _Subject, rays: _Rays) -> _Integrals:
-    weights, points, to_posed = _decode(subject, rays)
-    places = on_planes(points)
-    features = torch.cat(
-        [
-            volume.triplane(subject.shading_planes, places),
-            volume.plane(subject.laid, places[..., 0::2]),
-        ],
-        -1,
-    )
+    weights, points, looks, to_posed = _decode(subject, rays)
+    features = shading_features(subject.shading_planes, subject.relief, points, looks)
     samples = rays.distances.shape[1:]
     view = -rays.directions[:, :, None].expand(-1, -1, samples[1], -1).flatten(1, 2)
     shading: Shading = subject.decoders.shading(
@@ -323,13 +279,43 @@ def _integrate(subject: _Subject, rays: _Rays) -> _Integrals:
     )
 
 
+def _by_importance(
+    subject: _Subject,
+    rays: _Rays,
+    preset: Preset,
+    generator: torch.Generator | None,
+    chunk: int | None,
+) -> _Rays:
+    """Rays with samples where a first pass finds density."""
+    near, far = rays.near, rays.far
+    coarse = volume.stratified(near, far, preset.coarse_samples, generator)
+    rays = rays._replace(distances=coarse)
+    weights = torch.cat([_decode(subject, part)[0] for part in rays.split(chunk)], 1)
+    weights = volume.widen(weights)
+    fine = volume.importance(weights, coarse, near, far, preset.fine_samples, generator)
+    return rays._replace(distances=volume.merge(coarse, fine)[0])
+
+
+def _about(skin: Tensor, rays: _Rays, preset: Preset, generator: torch.Generator | None) -> _Rays:
+    """Rays with samples about the skin at distances (B, R), and no longer than hair is thick.
+
+    Those that pass it by are sampled evenly.
+    """
+    known = skin.isfinite()
+    skin = torch.where(known, skin, 0.0)
+    near = torch.where(known, rays.near.clamp(min=skin - BEFORE), rays.near)
+    far = torch.where(known, rays.far.clamp(max=skin + BEHIND), rays.far)
+    far = torch.maximum(near, far)
+    first = torch.where(known, (skin - AROUND).clamp(near, far), near)
+    last = torch.where(known, (skin + AROUND).clamp(near, far), far)
+    close = volume.stratified(first, last, preset.skin_samples, generator)
+    more = volume.stratified(near, far, preset.hair_samples, generator)
+    distances = volume.merge(more, close)[0]
+    return rays._replace(near=near, far=far, distances=distances)
+
+
 def _unturned(directions: Tensor) -> Tensor:
     return directions
-
-
-def _full(tensor: Tensor) -> Tensor:
-    """At least single precision."""
-    return tensor if tensor.dtype == torch.float64 else tensor.float()
 
 
 def _check(geometry: Tensor, shading: Tensor, camera_to_world: Tensor, preset: Preset) -> None:

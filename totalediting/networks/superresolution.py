@@ -1,6 +1,7 @@
 """From the volume-rendered picture to the final one, and what lies behind the subject.
 
-Detail finer than the volume-rendered picture is taken from the source: `fine_structure`.
+Detail finer than the volume-rendered picture comes from shading every pixel's surface once more:
+`fine_structure`.
 
 Symbols: B batch, S = preset.image, h = preset.neural, F = preset.features. Pictures are
 display-referred RGB in [0, 1]; features are any numbers, as the shading decoder gives them.
@@ -20,9 +21,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from totalediting.geometry import volume
-from totalediting.geometry.frontal import colour_of
-from totalediting.geometry.space import on_planes
+from totalediting.light.phong import display, undisplay
 from totalediting.networks.blocks import ResidualBlock, conv
 from totalediting.presets import Preset
 
@@ -64,31 +63,19 @@ class SuperResolution(nn.Module):
         return picture if self.training else picture.clamp(0.0, 1.0)
 
 
-@torch.no_grad()
-def fine_structure(laid: Tensor, canonical: Tensor, opacity: Tensor, size: int) -> Tensor:
-    """Factors (B, 3, size, size) by which the source's fine structure changes a picture.
+def fine_structure(shaded: Tensor, opacity: Tensor, scale: int) -> Tensor:
+    """Factors (B, 3, S, S) by which the fine structure of shaded surfaces changes a picture.
 
-    Each pixel's canonical position is known, so that the source's colour there can be looked up at
-    a higher resolution. Its ratio to its surroundings, one rendered pixel to each side, is the
-    detail that the rendered picture cannot hold; where nothing is seen it is 1. Ours: deferred
-    texture look-ups (Thies et al. 2019) of a texture that is not learnt. No gradient.
-
-    Args:
-        laid: (B, LAID, S, S), see `frontal.both_sides`.
-        canonical, opacity: (B, 3, h, h) and (B, 1, h, h) of a `Rendering`.
-        size: side of the result, a multiple of h.
+    The ratio of `shaded` (B, 3, S, S), each pixel's surface in the light to show, display-referred,
+    to what is left of it in a rendered picture, whose pixels are `scale` of these: the detail that
+    that cannot hold. 1 where nothing is seen, by `opacity` (B, 1, S, S). Ours: deferred
+    shading of what is looked up in the source.
     """
-    scale = size // canonical.shape[-1]
-    seen = canonical.float() / opacity.float().clamp_min(0.05)
-    seen, opaque = (
-        functional.interpolate(a, (size, size), mode="bilinear") for a in (seen, opacity.float())
-    )
-    places = on_planes(seen.flatten(2).mT)[..., 0::2]
-    colour = colour_of(volume.plane(laid.float(), places)).mT.view_as(seen)
-    padded = functional.pad(colour, (scale,) * 4, mode="replicate")
-    around = functional.avg_pool2d(padded, 2 * scale + 1, 1)
-    factor = ((colour + _DARK) / (around + _DARK)).clamp(_LEAST, _MOST)
-    return torch.lerp(torch.ones_like(factor), factor, opaque)
+    shaded, opacity = shaded.float(), opacity.float()
+    rendered = functional.avg_pool2d(shaded, scale)
+    around = functional.interpolate(rendered, scale_factor=float(scale), mode="bilinear")
+    factor = ((shaded + _DARK) / (around + _DARK)).clamp(_LEAST, _MOST)
+    return torch.lerp(torch.ones_like(factor), factor, opacity)
 
 
 class Background(nn.Module):
@@ -127,22 +114,26 @@ class Background(nn.Module):
 
 
 def over(
-    colour: Tensor, features: Tensor, opacity: Tensor, background: Tensor
+    light: Tensor, features: Tensor, opacity: Tensor, background: Tensor, linear: bool
 ) -> tuple[Tensor, Tensor]:
     """The subject in front of a background: raw picture (B, 3, h, h), features (B, F, h, h).
 
-    `colour` (B, 3, h, h), display-referred, and `features` (B, F, h, h) are premultiplied by
-    `opacity` (B, 1, h, h); to both, (1 - opacity) `background` (B, 3 + F, h, h) is added.
+    `light` (B, 3, h, h) and `features` (B, F, h, h) are premultiplied by `opacity` (B, 1, h, h); to
+    both, (1 - opacity) `background` (B, 3 + F, h, h) is added, whose colour is display-referred.
+    Light adds up before it is shown, D(alpha c + (1 - alpha) b), where it is `linear`; else it is
+    display-referred as well, and added as it is.
 
     Raises:
         ValueError: a shape does not fit.
     """
     batch, channels, *size = features.shape
-    _check("colour", colour, (batch, 3, *size))
+    _check("light", light, (batch, 3, *size))
     _check("opacity", opacity, (batch, 1, *size))
     _check("background", background, (batch, 3 + channels, *size))
-    behind = (1.0 - opacity) * background
-    return colour + behind[:, :3], features + behind[:, 3:]
+    behind, more = background.tensor_split((3,), 1)
+    empty = 1.0 - opacity
+    raw = display(light + empty * undisplay(behind, 1), 1) if linear else light + empty * behind
+    return raw, features + empty * more
 
 
 class _Upsample(nn.Module):

@@ -17,7 +17,15 @@ class Figure:
 
 FIGURES: dict[str, Figure] = {
     "psnr": Figure("PSNR", "dB", "PSNR"),
+    "matte_psnr": Figure("PSNR of the matte's pixels", "dB"),
+    "seen_psnr": Figure("PSNR of pixels that the source shows", "dB"),
+    "seen_share": Figure("share of the matte that the source shows"),
+    "ssim": Figure("SSIM"),
+    "lpips": Figure("LPIPS (AlexNet)"),
+    "source_lpips": Figure("LPIPS of the source (AlexNet)"),
     "source_psnr": Figure("PSNR of the source", "dB", "PSNR of the source"),
+    "source_matte_psnr": Figure("PSNR of the source, the matte's pixels", "dB"),
+    "source_seen_psnr": Figure("PSNR of the source, pixels that it shows", "dB"),
     "normal_error": Figure("normals, mean error", "°", "normal, mean °"),
     "albedo_error": Figure("albedo, L1", former="albedo, L1"),
     "relative_light_error": Figure(

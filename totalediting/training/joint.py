@@ -1,7 +1,8 @@
 """The joint stage: everything together, L = L_rec + L_reg + L_adv (paper, supplement A).
 
 The model continues from the stage `reconstruct`, the lightmap estimator from `lightmaps`; the last
-layer of its normals gets no gradient from light and is frozen. In every other step on synthetic
+layer of its normals gets no gradient from light and is frozen, and so are E_app and F_de, as in the
+paper (`preset.freeze`). In every other step on synthetic
 pairs the light is what the estimator sees in the driver's picture, so that it learns from the
 result as well; otherwise it is the true light. Real pairs, two frames of a clip, are described by
 the head tracker; their light is always the estimator's.
@@ -17,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -27,26 +28,24 @@ from torch.nn import functional
 from totalediting.data.clips import ClipPair, Clips
 from totalediting.data.endless import loader
 from totalediting.data.pairs import PortraitPair
-from totalediting.geometry.frontal import frontalise
+from totalediting.geometry.field import Control
 from totalediting.geometry.identity import faces_of
 from totalediting.geometry.rig import camera_of, control_of
-from totalediting.light.lightmaps import encode, rotate
+from totalediting.geometry.source import Source
+from totalediting.geometry.tracking import Tracking
+from totalediting.light.lightmaps import encode
 from totalediting.model import Edit, TotalEditing
 from totalediting.networks import discriminator, lightmap_estimator
 from totalediting.networks.discriminator import Discriminator
 from totalediting.networks.head_tracker import HeadTracker
 from totalediting.networks.lightmap_estimator import LightmapEstimator
 from totalediting.presets import Preset
-from totalediting.pretrained.fetch import NetworkError
-from totalediting.pretrained.lpips import Lpips
 from totalediting.pretrained.sface import Recognition
 from totalediting.training import checkpoints, losses
-from totalediting.training.objective import Truth, terms, truth_of
-from totalediting.training.reconstruction import PairStage, edit_of, generator_on, validate
+from totalediting.training.objective import Truth, terms, truth_of, truth_of_real
+from totalediting.training.reconstruction import TABLES, PairStage, edit_of, generator_on
 from totalediting.training.stage import Loss, RealVideo, StageSettings, Validation
 from totalediting.training.stages import STAGES
-
-Network = TypeVar("Network", bound=nn.Module)
 
 R1_EVERY = 16
 """Steps between penalties of the discriminator's gradient, each of which counts as many times."""
@@ -90,6 +89,14 @@ class Joint(nn.Module):
         self.estimator = LightmapEstimator(preset)
         self.discriminator = Discriminator(preset)
         self.estimator.to_normal.requires_grad_(False)
+        if preset.freeze == "paper":
+            self.model.appearance.requires_grad_(False)
+            self.model.deenactor.requires_grad_(False)
+
+    @property
+    def clipped(self) -> list[nn.Module]:
+        """Adversaries: a step of one must not be cut short for the other's gradient."""
+        return [nn.ModuleList([self.model, self.estimator]), self.discriminator]
 
     def forward(self, batch: PortraitPair | ClipPair, step: int) -> Loss:
         assert self.objective is not None  # only training calls this
@@ -110,14 +117,13 @@ class JointStage(PairStage):
         faces: Tensor | None = None,
         weights: losses.LossWeights = losses.OURS,
         real: RealClips | None = None,
+        tables: Path | None = None,
     ) -> None:
-        super().__init__(data, preset, seed, workers)
+        super().__init__(data, preset, seed, workers, tables=tables)
         self.weights, self.real = weights, real
         self.network = Joint(preset, faces, self._objective)
         self.texels = lightmap_estimator.texel_weights(preset.lightmap_height)
-        self._off: dict[str, str] = {}
-        self.lpips = self._pretrained("lpips", lambda: Lpips("alex"))
-        self.recognition = self._pretrained("identity", Recognition)
+        self.recognition = self.pretrained("identity", Recognition)
 
     def start_from(self, run: Path) -> None:
         for part, stage in (
@@ -125,10 +131,6 @@ class JointStage(PairStage):
             (self.network.estimator, "lightmaps"),
         ):
             checkpoints.load_best(STAGES[stage].folder(run), part)
-
-    @property
-    def off(self) -> dict[str, str]:
-        return self._off
 
     @property
     def facts(self) -> dict[str, Any]:
@@ -174,62 +176,52 @@ class JointStage(PairStage):
         with torch.no_grad():
             tracker = real.tracker.to(image.device).eval()
             app, mot = tracker(batch.app_image), tracker(image)
-            control = control_of(mot)
-            shown = control_of(app).showing(control)
-            frontal = frontalise(batch.app_image, shown, *camera_of(app, side))
-            camera_to_world, intrinsics = camera_of(mot, side)
+            # The source's identity, with the driver's expression and pose, framed as the driver.
+            shown = mot._replace(identity=app.identity)
+            control = control_of(shown)
+            if self.preset.expression == "warped":
+                still = shown._replace(expression=0 * shown.expression, gaze=0 * shown.gaze)
+                control = control.showing(control_of(still))
+            camera_to_world, intrinsics = camera_of(shown, side)
+            source = self._source(batch, app, control)
         seen = batch.light_image if real.settings.light == "random" else image
         code = joint.estimator(seen).code
         # A clip's camera does not move: the light that one frame shows holds for all.
         edit = joint.model(
-            batch.app_image,
-            frontal,
-            app.code,
+            source,
             mot.code,
             control,
             camera_to_world,
             intrinsics,
-            lightmap_estimator.unfold(code.clamp_min(0).expm1(), joint.estimator.height),
+            self._light(code),
             camera_to_world[:, :3, :3].mT,
             generator=generator,
         )
         normal = (camera_to_world[:, :3, :3] @ batch.normal.flatten(2)).view_as(batch.normal)
-        truth = Truth(image, batch.alpha, batch.matted, normal, None, None)
+        truth = truth_of_real(image, batch.alpha, batch.matted, normal)
         found = terms(joint.model, edit, truth, factors, generator)
         if real.settings.light == "consistent":
             other = joint.estimator(batch.light_image).code
             found["lightmap"] = losses.lightmap_loss(code, other, self.texels.to(code.device))
-        matte = batch.alpha
-        if self.lpips is not None:
-            found["lpips"] = self.lpips.to(image.device)(matte * edit.image, matte * image).mean()
-        if self.recognition is not None and factors["identity"]:
-            found["identity"] = self._identity(matte * edit.image, matte * image, mot.points(side))
+        self._faces(found, edit, truth, mot.points(side), factors)
         total = losses.total(found, self.weights, step)
         return total.loss, {f"real_{name}": value for name, value in total.scalars.items()}
 
     def _synthetic(self, batch: PortraitPair, step: int) -> Loss:
         joint, factors = self.network, self.weights.at(step)
-        generator = generator_on(batch.app_image.device)
+        generator = generator_on(batch.mot_image.device)
         to_camera = batch.camera_to_world[:, :3, :3].mT
         code = joint.estimator(batch.mot_image).code
         seen, to_light = None, None
         if step % 2:
-            maps = code.clamp_min(0).expm1()
-            seen = lightmap_estimator.unfold(maps, joint.estimator.height)
-            to_light = to_camera
-        table = self.deformation(joint.model, batch)
-        edit = edit_of(joint.model, batch, generator, seen, to_light, control=table)
-        found = terms(joint.model, edit, truth_of(batch), factors, generator)
-        truth = rotate(batch.lightmaps, batch.camera_to_world[:, :3, :3])
-        weights = self.texels.to(code.device)
-        found["lightmap"] = losses.lightmap_loss(
-            code, encode(lightmap_estimator.fold(truth)), weights
-        )
-        image, target = batch.alpha * edit.image, batch.alpha * batch.mot_image
-        if self.lpips is not None:
-            found["lpips"] = self.lpips.to(image.device)(image, target).mean()
-        if self.recognition is not None and factors["identity"]:
-            found["identity"] = self._identity(image, target, batch.points)
+            seen, to_light = self._light(code), to_camera
+        tables = self.tables(joint.model, batch)
+        edit = edit_of(joint.model, batch, generator, seen, to_light, tables=tables)
+        wanted = truth_of(batch)
+        found = terms(joint.model, edit, wanted, factors, generator)
+        truth = encode(lightmap_estimator.fold(batch.seen_lightmaps))
+        found["lightmap"] = losses.lightmap_loss(code, truth, self.texels.to(code.device))
+        self._faces(found, edit, wanted, batch.points, factors)
         critic: Tensor | float = 0.0
         if factors["adversarial"]:
             found["adversarial"], critic = self._adversarial(edit, batch, step)
@@ -237,16 +229,45 @@ class JointStage(PairStage):
         scalars = total.scalars | ({"critic": critic.item()} if isinstance(critic, Tensor) else {})
         return total.loss + critic, scalars
 
-    def _identity(self, image: Tensor, target: Tensor, points: Tensor) -> Tensor:
-        """L_id; the faces of both are where the target's five `points` (B, 5, 2) are, in pixels."""
-        assert self.recognition is not None
-        recognition = self.recognition.to(image.device)
+    def _source(self, batch: ClipPair, app: Tracking, control: Control) -> Source:
+        """A frame of a clip as a source, by what the tracker and the estimator find in it."""
+        image = batch.app_image
+        camera_to_world, intrinsics = camera_of(app, image.shape[-1])
+        return Source(
+            image=image,
+            alpha=batch.app_alpha,
+            code=app.code,
+            control=control_of(app).showing(control),
+            camera_to_world=camera_to_world,
+            intrinsics=intrinsics,
+            lightmaps=self._light(self.network.estimator(image).code),
+            to_light=camera_to_world[:, :3, :3].mT,
+        )
+
+    def _light(self, code: Tensor) -> Tensor:
+        """Lightmaps (B, 5, 3, H, 2H), linear, of what the estimator says at all of their texels."""
+        return lightmap_estimator.unfold(code.clamp_min(0).expm1(), self.network.estimator.height)
+
+    def _faces(
+        self,
+        found: dict[str, Tensor | None],
+        edit: Edit,
+        truth: Truth,
+        points: Tensor,
+        factors: dict[str, float],
+    ) -> None:
+        """Add L_LPIPS and L_id; the target's face has its five `points` (B, 5, 2) in pixels."""
+        self.perceived(found, edit, truth, factors)
+        if self.recognition is None or not factors["identity"]:
+            return
+        recognition = self.recognition.to(points.device)
         with torch.no_grad():
-            wanted = recognition.features(target, points)
-        return losses.identity_loss(recognition.features(image, points), wanted)
+            wanted = recognition.features(truth.counts * truth.image, points)
+        made = recognition.features(truth.counts * edit.image, points)
+        found["identity"] = losses.identity_loss(made, wanted)
 
     def validate(self, network: nn.Module) -> Validation:
-        return validate(self.network.model, self.held_out, self.most)
+        return self.validated(self.network.model)
 
     def _adversarial(self, edit: Edit, batch: PortraitPair, step: int) -> tuple[Tensor, Tensor]:
         """The generator's term, and the discriminator's own with its penalty."""
@@ -270,14 +291,6 @@ class JointStage(PairStage):
             own = own + 0.5 * R1 * R1_EVERY * discriminator.r1_penalty(critic, real, camera)
         return fooled, own
 
-    def _pretrained(self, term: str, make: Callable[[], Network]) -> Network | None:
-        """The network of a term of the loss, or None if it cannot be had; `off` then says why."""
-        try:
-            return make().eval()
-        except NetworkError as error:
-            self._off[term] = str(error)
-            return None
-
 
 def build(settings: StageSettings) -> JointStage:
     """The stage, see `stages.STAGES`.
@@ -297,6 +310,7 @@ def build(settings: StageSettings) -> JointStage:
         settings.seed,
         settings.workers,
         faces_of(settings.preset),
-        losses.OURS.over(settings.steps),
+        losses.PRESETS[settings.preset.weights].over(settings.steps),
         real,
+        settings.run / TABLES,
     )

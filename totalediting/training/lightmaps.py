@@ -9,6 +9,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from totalediting import metrics
 from totalediting.data.endless import loader
 from totalediting.data.portraits import Portrait
 from totalediting.geometry.camera_jitter import jittered_light
@@ -17,7 +18,7 @@ from totalediting.light.lightmaps import encode
 from totalediting.networks import lightmap_estimator
 from totalediting.networks.lightmap_estimator import LightmapEstimator
 from totalediting.presets import Preset
-from totalediting.training import losses, metrics
+from totalediting.training import losses
 from totalediting.training.single_portraits import PortraitStage, draw_jitter
 from totalediting.training.stage import Loss, StageSettings, Validation
 

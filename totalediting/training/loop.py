@@ -69,7 +69,7 @@ class Step:
 
     loss: float
     gradient: float
-    """Norm of the gradient before clipping; NaN or infinite where it is."""
+    """Norm of the gradient before clipping, the largest of the parts'; NaN or infinite as they."""
     terms: dict[str, float]
     """What the stage logs of its loss."""
 
@@ -137,10 +137,11 @@ def step(
     optimiser.zero_grad()
     fabric.backward(loss)
     done("backward")
-    norm = fabric.clip_gradients(
-        network, optimiser, max_norm=schedule.clip, error_if_nonfinite=False
-    )
-    result = Step(loss.item(), math.nan if norm is None else norm.item(), terms)
+    norms = [
+        nn.utils.clip_grad_norm_(part.parameters(), schedule.clip)
+        for part in clipped(stage.network)
+    ]
+    result = Step(loss.item(), float(torch.stack(norms).max()), terms)
     if result.finite:
         optimiser.step()
         decay = min(schedule.average, (1 + number) / (10 + number))
@@ -212,6 +213,13 @@ def train(
             fabric.barrier()
     progress.close()
     return judged
+
+
+def clipped(network: nn.Module) -> list[nn.Module]:
+    """The parts of a network whose gradients are clipped each by its own norm: what its `clipped`
+    names, else all of it."""
+    found = getattr(network, "clipped", None)
+    return [network] if found is None else found
 
 
 def paced(network: nn.Module) -> list[dict[str, Any]]:

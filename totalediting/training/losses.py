@@ -24,6 +24,7 @@ TERMS = (
     "final",
     "raw",
     "foreground",
+    "background",
     "lpips",
     "identity",
     "mask",
@@ -36,9 +37,9 @@ TERMS = (
     "density_normal",
     "adversarial",
 )
-"""Names of the terms: L_1 of the final, the volume-rendered and the foreground picture, L_LPIPS,
-L_id, L_seg, L_a, L_n, ours that draws density onto the true surface, L_S, R_TV, R_delta, R_n,
-L_adv."""
+"""Names of the terms: L_1 of the final, the volume-rendered and the foreground picture, and of what
+is beside the subject, L_LPIPS, L_id, L_seg, L_a, L_n, ours that draws density onto the true
+surface, L_S, R_TV, R_delta, R_n, L_adv."""
 _RUN = 100_000  # steps that the presets' schedules are meant for
 
 
@@ -49,6 +50,7 @@ class LossWeights:
     final: float = 1.0
     raw: float = 1.0
     foreground: float = 1.0
+    background: float = 1.0
     lpips: float = 1.0
     identity: float = 1.0
     mask: float = 1.0
@@ -63,10 +65,10 @@ class LossWeights:
 
     tv_every: int = 16
     """R_TV is computed every so many steps and counts as many times (lazily, as StyleGAN2's)."""
-    identity_from: int = 20_000
-    """First step of L_id: a face must be there before it can be somebody's."""
-    adversarial_from: int = 10_000
-    """First step of L_adv."""
+    identity_from: int = 0
+    """First step of L_id."""
+    adversarial_from: int = 50_000
+    """First step of L_adv, which comes last: what is wrong altogether, the others tell."""
     density_normal_from: int = 2_000
     """R_n is 0 up to this step and rises linearly,"""
     density_normal_until: int = 10_000
@@ -113,7 +115,12 @@ PAPER = LossWeights(
     density_normal_from=0,
     density_normal_until=0,
 )
-"""The paper's: the plain sum, from the first step; of pictures only the final one is compared."""
+"""The paper's: the plain sum, from the first step; of pictures only the final one is compared, and
+what is behind the subject, which is ours to learn by itself."""
+
+
+PRESETS = {"ours": OURS, "paper": PAPER}
+"""By the name of the switch `weights`."""
 
 
 class Total(NamedTuple):

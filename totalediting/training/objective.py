@@ -1,8 +1,9 @@
 """What an edit is compared with: the terms of L_rec and R of one picture, synthetic or real.
 
-Only the subject counts where its matte is known: the two pictures of a synthetic pair may have
-other backgrounds. A real frame without a matte counts as a whole, before the background of I_app.
-B, S, h as in `totalediting.model`.
+A transparent pair has one background, which is known: its pictures count as a whole. Of an opaque
+one only the subject counts, by its matte: its two pictures have other backgrounds. A real frame
+counts as a whole, before the background that `Background` finds in I_app. That network learns from
+what is seen beside the subject. B, S, h as in `totalediting.model`.
 """
 
 from __future__ import annotations
@@ -15,11 +16,11 @@ from torch.nn import functional
 
 from totalediting.data.pairs import PortraitPair
 from totalediting.model import Edit, TotalEditing, Window
-from totalediting.networks.rendering import density_jitter, density_normals
+from totalediting.networks.density import Volume, density_jitter, density_normals
 from totalediting.presets import Preset
 from totalediting.training import losses
 
-_TV_POINTS, _NORMAL_POINTS = 1000, 4096
+_TV_POINTS, _NORMAL_POINTS = 1000, 1024
 
 
 class Truth(NamedTuple):
@@ -27,8 +28,18 @@ class Truth(NamedTuple):
 
     image: Tensor
     """(B, 3, S, S), I*."""
+    counts: Tensor
+    """(B, 1, S, S) how much its pixels count."""
     alpha: Tensor
     """(B, 1, S, S) coverage; 1 where it is not known."""
+    foreground: Tensor
+    """(B, 3, S, S) the subject over black."""
+    clear: Tensor
+    """(B, 1, S, S) where that is known: it holds no background, as the rims of opaque pictures."""
+    background: Tensor
+    """(B, 3, S, S) what is behind the subject,"""
+    beside: Tensor
+    """(B, 1, S, S) where that is known, and matters."""
     matted: Tensor
     """(B,) bool: whether the coverage is known."""
     normal: Tensor
@@ -41,19 +52,53 @@ class Truth(NamedTuple):
     def within(self, window: Window, preset: Preset) -> Truth:
         """The part of it in a window of the raw picture."""
         scale = preset.image // preset.neural
-        return Truth(
-            window.of(self.image, scale),
-            window.of(self.alpha, scale),
-            self.matted,
-            window.of(self.normal, scale),
-            *(None if a is None else window.of(a, scale) for a in (self.albedo, self.canonical)),
-        )
+        parts = {
+            name: window.of(part, scale)
+            for name, part in self._asdict().items()
+            if part is not None and part.ndim == 4
+        }
+        return self._replace(**parts)
 
 
 def truth_of(batch: PortraitPair) -> Truth:
     """The ground truth of synthetic pictures."""
-    matted = torch.ones(len(batch.alpha), dtype=torch.bool, device=batch.alpha.device)
-    return Truth(batch.mot_image, batch.alpha, matted, batch.normal, batch.albedo, batch.canonical)
+    alpha, known = batch.alpha, batch.transparent[:, None, None, None]
+    return Truth(
+        image=batch.mot_image,
+        counts=torch.where(known, 1.0, alpha),
+        alpha=alpha,
+        foreground=batch.foreground,
+        clear=torch.where(known, 1.0, away_from_rims(alpha)),
+        background=torch.where(known, batch.background, batch.app.image),
+        beside=1 - torch.where(known, alpha, batch.app.alpha),
+        matted=torch.ones(len(alpha), dtype=torch.bool, device=alpha.device),
+        normal=batch.normal,
+        albedo=batch.albedo,
+        canonical=batch.canonical,
+    )
+
+
+def truth_of_real(image: Tensor, alpha: Tensor, matted: Tensor, normal: Tensor) -> Truth:
+    """The ground truth of frames of clips, whose normals (B, 3, S, S) are in model space."""
+    known = matted.to(alpha)[:, None, None, None]
+    return Truth(
+        image=image,
+        counts=torch.ones_like(alpha),
+        alpha=alpha,
+        foreground=alpha * image,
+        clear=known * away_from_rims(alpha),
+        background=image,
+        beside=known * (1 - alpha),
+        matted=matted,
+        normal=normal,
+        albedo=None,
+        canonical=None,
+    )
+
+
+def away_from_rims(alpha: Tensor) -> Tensor:
+    """1 where a matte (B, 1, S, S) is all or nothing, else 0."""
+    return ((alpha > 0.98) | (alpha < 0.02)).to(alpha)
 
 
 def terms(
@@ -71,12 +116,13 @@ def terms(
     def small(picture: Tensor) -> Tensor:
         return functional.interpolate(picture, side, mode="area")
 
-    small_matte, small_target = small(matte), small(matte * target)
+    small_matte = small(matte)
     decomposed = model.preset.decoder == "phong"
     found: dict[str, Tensor | None] = {
-        "final": losses.l1(matte * edit.image, matte * target),
-        "raw": losses.l1(small_matte * edit.raw, small_target),
-        "foreground": losses.l1(edit.foreground, small_target, known),
+        "final": losses.l1(truth.counts * edit.image, truth.counts * target),
+        "raw": losses.l1(small(truth.counts) * edit.raw, small(truth.counts * target)),
+        "foreground": losses.l1(edit.foreground, small(truth.foreground), small(truth.clear)),
+        "background": losses.l1(edit.behind, small(truth.background), small(truth.beside)),
         "mask": losses.mask_loss(rendering.opacity, small_matte, known),
         "residual": rendering.residual_l1.mean() if decomposed else None,
     }
@@ -92,9 +138,10 @@ def terms(
         found["surface"] = losses.surface_loss(
             rendering.weights, rendering.points, place.flatten(2).mT, wholly.flatten(1)
         )
-    volume = edit.planes.geometry, edit.planes.laid, model.decoders.geometry
+    planes, shown = edit.planes.geometry, edit.planes.shown
+    volume = Volume(planes, shown.sheet.relief, shown, model.decoders.geometry)
     if factors["tv"]:
-        found["tv"] = losses.tv_loss(*density_jitter(*volume, _TV_POINTS, generator))
+        found["tv"] = losses.tv_loss(*density_jitter(volume, _TV_POINTS, generator))
     if factors["density_normal"] and decomposed:
         batch_size, device = len(rendering.weights), rendering.weights.device
         count = rendering.weights[0].numel()
@@ -104,6 +151,6 @@ def terms(
             for a in (rendering.points, rendering.canonical_normals, rendering.weights)
         )
         with torch.no_grad():
-            facing = density_normals(*volume, points)
+            facing = density_normals(volume, points)
         found["density_normal"] = losses.density_normal_loss(normals, facing, weights[..., 0])
     return found

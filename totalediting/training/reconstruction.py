@@ -6,30 +6,39 @@ First the two have one pose and expression and differ in view and light, then in
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import TypeVar
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from totalediting import metrics
+from totalediting.baselines.warp import SEEN, warp
 from totalediting.data.endless import loader, to_device
+from totalediting.data.kept_tables import KeptTables
 from totalediting.data.pairs import MIRRORED, PortraitPair, PortraitPairs
 from totalediting.geometry.field import Control, Table
 from totalediting.geometry.identity import faces_of
 from totalediting.geometry.mirroring import MIRROR
 from totalediting.light import phong
-from totalediting.model import Edit, TotalEditing, Window
+from totalediting.model import Edit, Tables, TotalEditing, Window
 from totalediting.presets import Preset
-from totalediting.training import losses, metrics
-from totalediting.training.objective import terms, truth_of
+from totalediting.pretrained.fetch import NetworkError
+from totalediting.pretrained.lpips import Lpips
+from totalediting.training import losses
+from totalediting.training.objective import Truth, terms, truth_of
 from totalediting.training.stage import Loss, Stage, StageSettings, Validation
+
+Network = TypeVar("Network", bound=nn.Module)
 
 VALIDATED = 64
 """Samples that a validation looks at, at most."""
 
 _VALIDATION_BATCH = 8  # pairs
-_CACHE = 1 << 28  # bytes of deformations that are kept
+TABLES = "tables"
+"""Folder in a run where deformations are kept; it can be deleted at any time."""
 _STATIC = 0.25  # share of the stage's steps before pairs differ in motion
 
 
@@ -37,46 +46,74 @@ class PairStage(Stage):
     """A stage that learns from pairs of pictures of one person."""
 
     most = VALIDATED
+    closely = False
+    """Whether validation takes its time for all figures."""
 
     def __init__(
-        self, data: Path, preset: Preset, seed: int, workers: int, static_steps: int = 0
+        self,
+        data: Path,
+        preset: Preset,
+        seed: int,
+        workers: int,
+        static_steps: int = 0,
+        tables: Path | None = None,
     ) -> None:
-        """In the first `static_steps` steps, pairs are static, see `PortraitPairs`."""
+        """In the first `static_steps` steps, pairs are static, see `PortraitPairs`. Deformations
+        are kept in the folder `tables`, if there is one."""
         self.preset, self.workers, self.static_steps = preset, workers, static_steps
         self.static = PortraitPairs(data, preset, "train", seed, augment=True, static=True)
         self.train = PortraitPairs(data, preset, "train", seed, augment=True)
         self.held_out = PortraitPairs(data, preset, "validation")
-        self._tables: dict[str, Table] = {}
+        self._off: dict[str, str] = {}
+        self.lpips = self.pretrained("lpips", lambda: Lpips("alex"))
+        solved = preset.deformation, preset.rotation, preset.alpha, preset.deformation_nodes
+        self.kept = KeptTables(tables, str(solved))
 
     def validate_on(self, data: Path, split: str) -> None:
         self.held_out = PortraitPairs(data, self.preset, split)
-        self.most = len(self.held_out)
+        self.most, self.closely = len(self.held_out), True
+
+    def validated(self, network: nn.Module) -> Validation:
+        """How well the model does on the people held out."""
+        return validate(network, self.held_out, self.most, self.lpips, self.closely)
 
     @property
     def skipped(self) -> dict[str, str]:
         return self.static.skipped | self.train.skipped
 
-    def deformation(self, model: TotalEditing, batch: PortraitPair) -> Table:
-        """The batch's deformations; each shot's is solved once and kept, as far as there is room.
+    @property
+    def off(self) -> dict[str, str]:
+        return self._off
 
-        They take a third of a step on a CPU, and do not change. A mirrored shot's is the mirror
-        image of the shot's own.
-        """
+    def pretrained(self, term: str, make: Callable[[], Network]) -> Network | None:
+        """The network of a term of the loss, or None if it cannot be had; `off` then says why."""
+        try:
+            return make().eval()
+        except NetworkError as error:
+            self._off[term] = str(error)
+            return None
+
+    def perceived(
+        self, found: dict[str, Tensor | None], edit: Edit, truth: Truth, factors: dict[str, float]
+    ) -> None:
+        """Add L_LPIPS to the terms of an edit."""
+        if self.lpips is not None and factors["lpips"]:
+            image, target = truth.counts * edit.image, truth.counts * truth.image
+            found["lpips"] = self.lpips.to(image.device)(image, target).mean()
+
+    def tables(self, model: TotalEditing, batch: PortraitPair) -> Tables:
+        """The batch's deformations, from posed to canonical space and from there to the source;
+        each is solved once. A mirrored pair's are the mirror images of the pair's own."""
         turned = [key.endswith(MIRRORED) for key in batch.key]
-        shots = [key.removesuffix(MIRRORED) for key in batch.key]
-        missing = {shot: k for k, shot in enumerate(shots) if shot not in self._tables}
-        if missing:
-            sides = batch.control.posed.new_ones(len(shots), 1, 3)
-            sides[turned] = MIRROR.to(sides)
-            chosen = list(missing.values())
-            control = Control(*((sides * a)[chosen] for a in batch.control))
-            self._tables |= zip(missing, model.deformation(control).unstack(), strict=True)
-        tables = [self._tables[shot] for shot in shots]
-        tables = [t.mirrored() if turn else t for t, turn in zip(tables, turned, strict=True)]
-        table = Table.stack(tables)
-        while len(self._tables) * table.values[0].nbytes > _CACHE:
-            del self._tables[next(iter(self._tables))]
-        return table
+        sides = batch.control.posed.new_ones(len(turned), 1, 3)
+        sides[turned] = MIRROR.to(sides)
+        found = []
+        for control in (batch.control, batch.app.control.back()):
+            own = [Control(*parts) for parts in zip(*(sides * a for a in control), strict=True)]
+            tables = self.kept.of(own, model.deformation)
+            pairs = zip(tables, turned, strict=True)
+            found.append(Table.stack([t.mirrored() if m else t for t, m in pairs]))
+        return Tables(*found)
 
     def batches(self, first: int, size: int, rank: int, ranks: int) -> Iterator[PortraitPair]:
         start, moving = first * size * ranks, self.static_steps * size * ranks
@@ -87,7 +124,7 @@ class PairStage(Stage):
 
 
 class ReconstructStage(PairStage):
-    """L_rec + L_reg in true light, without pre-trained networks."""
+    """L_rec + L_reg in true light, without L_id: a window rarely shows a face."""
 
     network: TotalEditing
 
@@ -100,23 +137,25 @@ class ReconstructStage(PairStage):
         faces: Tensor | None = None,
         weights: losses.LossWeights = losses.OURS,
         static_steps: int = 0,
+        tables: Path | None = None,
     ) -> None:
-        super().__init__(data, preset, seed, workers, static_steps)
+        super().__init__(data, preset, seed, workers, static_steps, tables)
         self.weights = weights
         self.network = TotalEditing(preset, faces)
 
     def loss(self, network: nn.Module, batch: PortraitPair, step: int) -> Loss:
-        generator = generator_on(batch.app_image.device)
+        generator = generator_on(batch.mot_image.device)
         window = window_in(self.network.preset)
-        table = self.deformation(self.network, batch)
-        edit = edit_of(network, batch, generator, window=window, control=table)
+        tables = self.tables(self.network, batch)
+        edit = edit_of(network, batch, generator, window=window, tables=tables)
         truth = truth_of(batch).within(window, self.network.preset)
         found = terms(self.network, edit, truth, self.weights.at(step), generator)
+        self.perceived(found, edit, truth, self.weights.at(step))
         total = losses.total(found, self.weights, step)
         return total.loss, total.scalars
 
     def validate(self, network: nn.Module) -> Validation:
-        return validate(network, self.held_out, self.most)
+        return self.validated(network)
 
 
 def build(settings: StageSettings) -> ReconstructStage:
@@ -127,8 +166,9 @@ def build(settings: StageSettings) -> ReconstructStage:
         settings.seed,
         settings.workers,
         faces_of(settings.preset),
-        losses.OURS.over(settings.steps),
+        losses.PRESETS[settings.preset.weights].over(settings.steps),
         static_steps=int(_STATIC * settings.steps),
+        tables=settings.run / TABLES,
     )
 
 
@@ -151,53 +191,83 @@ def edit_of(
     lightmaps: Tensor | None = None,
     to_light: Tensor | None = None,
     window: Window | None = None,
-    control: Table | None = None,
+    tables: Tables | None = None,
 ) -> Edit:
     """The edit that should be the batch's target; in its true light, or in another."""
+    transparent = bool(batch.transparent.all())
     return network(
-        batch.app_image,
-        batch.app_frontal,
-        batch.app_code,
+        batch.app,
         batch.mot_code,
-        batch.control if control is None else control,
+        batch.control,
         batch.camera_to_world,
         batch.intrinsics,
         batch.lightmaps if lightmaps is None else lightmaps,
         to_light,
+        background=batch.background if transparent else None,
         generator=generator,
         window=window,
+        tables=tables,
     )
 
 
-def validate(network: nn.Module, pairs: PortraitPairs, most: int) -> Validation:
-    """Judge a model by its PSNR on the first `most` pairs of held-out people; beside it stands the
-    PSNR of returning the source."""
+def validate(
+    network: nn.Module,
+    pairs: PortraitPairs,
+    most: int,
+    lpips: Lpips | None = None,
+    closely: bool = False,
+) -> Validation:
+    """Judge a model by its PSNR on the first `most` pairs of held-out people; beside it stand the
+    figures of returning the source. All pictures are over black. `closely` adds the PSNR of pixels
+    that the source shows and, where there is the network, LPIPS."""
     device = next(network.parameters()).device
-    errors: dict[str, list[Tensor]] = {"psnr": [], "source": [], "normal": [], "albedo": []}
+    found: dict[str, list[Tensor]] = {}
     picture = None
     for samples in loader(pairs, _VALIDATION_BATCH, stop=min(most, len(pairs))):
         batch = to_device(samples, device)
         edit = edit_of(network, batch, None)
-        errors["psnr"].append(metrics.psnr(edit.image, batch.mot_image, batch.alpha))
-        errors["source"].append(metrics.psnr(batch.app_image, batch.mot_image, batch.alpha))
         size = batch.normal.shape[-2:]
         normal, albedo = (
             functional.interpolate(part, size, mode="bilinear")
             for part in (edit.rendering.normal, edit.rendering.albedo)
         )
-        errors["normal"].append(metrics.normal_error(normal, batch.normal, batch.alpha))
         difference = (albedo - batch.alpha * batch.albedo).abs() * batch.alpha
-        errors["albedo"].append(difference.mean((1, 2, 3)) / batch.alpha.mean((1, 2, 3)))
+        shown, truth, matte = over_black(batch, edit), batch.foreground, batch.alpha
+        values = {
+            **metrics.picture_figures(shown, truth, matte),
+            **metrics.source_figures(batch.app.image, truth, matte),
+            "normal_error": metrics.normal_error(normal, batch.normal, matte),
+            "albedo_error": difference.mean((1, 2, 3)) / matte.mean((1, 2, 3)),
+        }
+        if closely:
+            values |= _closely(batch, shown, lpips)
+        for name, value in values.items():
+            found.setdefault(name, []).append(value)
         picture = picture if picture is not None else edit_picture(batch, edit)
-    found = {name: torch.cat(values) for name, values in errors.items()}
-    figures = {
-        "psnr": float(found["psnr"].mean()),
-        "source_psnr": float(found["source"].mean()),
-        "normal_error": float(found["normal"].nanmean()),
-        "albedo_error": float(found["albedo"].mean()),
-    }
+    figures = {name: float(torch.cat(values).nanmean()) for name, values in found.items()}
     assert picture is not None  # a split is never empty
     return Validation(-figures["psnr"], figures, {"edit": picture})
+
+
+def _closely(batch: PortraitPair, shown: Tensor, lpips: Lpips | None) -> dict[str, Tensor]:
+    """Figures (B,) of results over black that take longer."""
+    truth, source = batch.foreground, batch.alpha * batch.app.image
+    seen = warp(batch).seen * (batch.alpha > SEEN)
+    found = {
+        "seen_psnr": metrics.psnr_within(shown, truth, seen.to(shown)),
+        "source_seen_psnr": metrics.psnr_within(source, truth, seen.to(shown)),
+    }
+    if lpips is not None:
+        lpips = lpips.to(shown.device)
+        found |= {"lpips": lpips(shown, truth), "source_lpips": lpips(source, truth)}
+    return found
+
+
+def over_black(batch: PortraitPair, edit: Edit) -> Tensor:
+    """(B, 3, S, S) the result where the background does not count: a transparent set is judged over
+    black, of an opaque one the true matte cuts it out."""
+    known = batch.transparent[:, None, None, None]
+    return torch.where(known, edit.image, batch.alpha * edit.image)
 
 
 def decomposition(edit: Edit, camera_to_world: Tensor) -> dict[str, Tensor]:
@@ -220,6 +290,6 @@ def edit_picture(batch: PortraitPair, edit: Edit) -> Tensor:
     size = batch.mot_image.shape[-2:]
     parts = decomposition(edit, batch.camera_to_world).values()
     large = [functional.interpolate(part, size, mode="bilinear") for part in parts]
-    cells = [batch.app_image, batch.mot_image, batch.alpha * edit.image, *large]
+    cells = [batch.app.image, batch.mot_image, over_black(batch, edit), *large]
     rows = torch.cat(cells, -1)[:4]
     return torch.cat(list(rows), -2).cpu()

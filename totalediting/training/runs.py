@@ -147,9 +147,7 @@ def evaluate(
     Raises:
         InputError: nothing was trained there, or there is no such dataset or split.
     """
-    specs = stages.STAGES.values()
-    trained = [s for s in specs if checkpoints.best_step(s.folder(run)) is not None]
-    if not trained:
+    if not (trained := trained_in(run)):
         raise InputError(f"{run}: nothing was trained there; train it first")
     found = {}
     for spec in trained:
@@ -163,6 +161,12 @@ def evaluate(
         with torch.no_grad():
             found[spec.name] = stage.validate(stage.network.eval()).figures
     return found
+
+
+def trained_in(run: Path) -> list[stages.StageSpec]:
+    """The stages that have something to use in a run's folder, which need not be there."""
+    specs = stages.STAGES.values()
+    return [s for s in specs if checkpoints.best_step(s.folder(run)) is not None]
 
 
 def _side_by_side(

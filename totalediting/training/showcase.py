@@ -16,6 +16,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from assets_procedural.conventions.files import replacing
+from totalediting import metrics
 from totalediting.data.endless import collate
 from totalediting.data.pairs import PortraitPair, PortraitPairs
 from totalediting.geometry.identity import faces_of
@@ -24,9 +25,9 @@ from totalediting.light.pictures import EDGE, FAINT, GAP, INK, PAPER
 from totalediting.model import TotalEditing
 from totalediting.networks.lightmap_estimator import LightmapEstimator
 from totalediting.presets import Preset
-from totalediting.training import checkpoints, metrics
+from totalediting.training import checkpoints
 from totalediting.training.joint import Joint
-from totalediting.training.reconstruction import decomposition, edit_of
+from totalediting.training.reconstruction import decomposition, edit_of, over_black
 from totalediting.training.stages import STAGES
 
 _TILE = 128
@@ -86,18 +87,19 @@ def draw(run: Path, data: Path, target: Path, rows: int = 6, split: str = "test"
     batch = collate(of_different_people(pairs, rows))
     edit = edit_of(model, batch, None)
     columns: dict[str, Tensor] = {
-        "source": batch.app_image,
+        "source": batch.app.image,
         "driver": batch.mot_image,
         "its light": _light(batch.lightmaps),
-        "result": batch.alpha * edit.image,
-        "truth": batch.alpha * batch.mot_image,
+        "result": over_black(batch, edit),
+        "truth": batch.foreground,
         **decomposition(edit, batch.camera_to_world),
     }
     if estimator is not None:
         columns["seen light"] = _light(estimator.lightmaps(batch.mot_image))
-    score = metrics.psnr(edit.image, batch.mot_image, batch.alpha)
-    alone = metrics.psnr(batch.app_image, batch.mot_image, batch.alpha)
-    title = f"PSNR {float(score.mean()):.1f} dB; of the source itself {float(alone.mean()):.1f} dB"
+    matte, truth = batch.alpha, batch.foreground
+    score = metrics.psnr(over_black(batch, edit), truth).mean()
+    alone = metrics.psnr(matte * batch.app.image, truth).mean()
+    title = f"PSNR {float(score):.1f} dB; of the source itself {float(alone):.1f} dB"
     return _page(columns, title, target)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import json
 import logging
@@ -11,24 +12,32 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import fake_renderer
 import numpy as np
 import pytest
 import torch
 from fake_renderer import CENTRE, RADIUS
 
+from assets_procedural.body.head import HeadModel
 from assets_procedural.conventions.colour import srgb_decode
 from assets_procedural.conventions.panorama_reading import PanoramaError
-from assets_procedural.motion.poses import ARKIT_NAMES
+from assets_procedural.motion.poses import ARKIT_NAMES, Pose
+from assets_procedural.person import Person
 from synthgen.dataset import open_dataset
-from totalediting.data import shots
+from synthgen.farm.local import render_job
+from totalediting.data import backgrounds, shots
+from totalediting.data.backgrounds import put_over
 from totalediting.data.endless import Stream, loader, to_device
+from totalediting.data.misfit import misfitted
 from totalediting.data.pairs import MIRRORED, PortraitPairs, mirrored
 from totalediting.data.shots import Shots, area, over_surface
 from totalediting.errors import InputError
-from totalediting.geometry.field import check_control
+from totalediting.geometry.field import Control, check_control
 from totalediting.geometry.space import head_centre
 from totalediting.geometry.volume import rays
 from totalediting.light import environments, lightmaps
+from totalediting.light.lightmaps import texel_directions
+from totalediting.light.phong import display, undisplay
 from totalediting.presets import PRESETS
 
 STORED = 48  # side of the small dataset's pictures
@@ -71,23 +80,26 @@ def damaged_copy(dataset: Path, out: Path, keys: list[str], member: str) -> Path
 def test_shapes_and_ranges(pairs: PortraitPairs):
     batch = next(iter(loader(pairs, 3)))
     expected = {
-        "app_image": (3, 24, 24),
-        "app_frontal": (6, 24, 24),
+        "app_depth": (1, 24, 24),
+        "foreground": (3, 24, 24),
+        "background": (3, 24, 24),
         "mot_image": (3, 24, 24),
         "albedo": (3, 24, 24),
         "normal": (3, 24, 24),
         "alpha": (1, 24, 24),
         "parts": (1, 24, 24),
         "depth": (1, 24, 24),
-        "app_code": (54,),
         "mot_code": (54,),
         "camera_to_world": (4, 4),
         "intrinsics": (3, 3),
         "lightmaps": (5, 3, 16, 32),
+        "seen_lightmaps": (5, 3, 16, 32),
     }
     for name, shape in expected.items():
         assert getattr(batch, name).shape == (3, *shape), name
-    for name in ("app_image", "mot_image", "albedo", "alpha"):
+    assert batch.app.image.shape == (3, 3, 24, 24) and batch.app.alpha.shape == (3, 1, 24, 24)
+    assert batch.app.code.shape == (3, 54) and batch.app.lightmaps.shape == (3, 5, 3, 16, 32)
+    for name in ("mot_image", "albedo", "alpha"):
         values = getattr(batch, name)
         assert values.dtype == torch.float32
         assert values.min() >= 0 and values.max() <= 1
@@ -111,7 +123,7 @@ def test_static_pairs_have_one_pose(small_dataset: Path):
     static = PortraitPairs(small_dataset, SMALL, static=True)
     for number in range(len(static)):
         sample = static[number]
-        assert torch.equal(sample.app_code, sample.mot_code)
+        assert torch.equal(sample.app.code, sample.mot_code)
         assert (sample.key == sample.app_key) == sample.key.startswith("video")
 
 
@@ -121,7 +133,7 @@ def test_a_mirrored_sample_is_the_mirrored_scene(pairs: PortraitPairs):
     # What holds of a scene holds of its mirror image: control points, canonical positions and
     # normals lie where the camera sees them.
     for one in (sample, turned):
-        side = one.app_image.shape[-1]
+        side = one.mot_image.shape[-1]
         origin, direction = rays(one.camera_to_world, one.intrinsics, side, side)
         along = one.depth[0] / (direction @ -one.camera_to_world[:3, 2])
         place = (origin + along[..., None] * direction)[one.parts[0] > 0]
@@ -267,6 +279,117 @@ def test_a_panorama_is_baked_once_per_machine(small_dataset: Path, tmp_path: Pat
     environments.baked.cache_clear()
     with pytest.raises(PanoramaError, match="no such panorama"):
         environments.baked(tmp_path / "none.exr")
+
+
+def test_an_estimator_learns_from_as_exact_light_in_every_stage(pairs: PortraitPairs):
+    """Maps in the camera's frame come from the panorama's, not from the few rows of the pair."""
+    sample = pairs[0]
+    position = pairs.keys.index(sample.key)
+    meta = pairs.shots.read(position, "meta")["meta"]
+    frame = torch.tensor(meta["camera"]["camera_to_world"])[:3, :3]
+    exact = [pairs.shots.lightmaps(meta, e, 16, frame) for e in range(2)]
+    assert any(torch.equal(sample.seen_lightmaps, maps) for maps in exact)
+    turned = lightmaps.rotate(sample.lightmaps, sample.camera_to_world[:3, :3])
+    assert not torch.allclose(turned, sample.seen_lightmaps, atol=1e-3)
+
+
+def test_a_bust_at_rest_can_have_no_expression() -> None:
+    """With `expression` "warped", control points lead to the neutral bust of the same person."""
+    person, model = Person(), HeadModel.load()
+    bust = model.identity(person).pose(Pose(expression={"jawOpen": 0.8}, head=(0.0, 0.0, 0.3)))
+    skin, origin = model.groups["skin"], np.array([0.0, -0.06, 0.72])
+    arrays = bust.vertices, bust.canonical.vertices, bust.normals, bust.canonical.normals
+    posed, open_, *normals = (torch.from_numpy(np.asarray(a)[skin]).float() for a in arrays)
+    shift = torch.from_numpy(origin).float()
+    control = Control(posed - shift, open_ - shift, *normals)
+    still = shots.neutral(control, {"person": person.model_dump()}, origin)
+    shut = torch.from_numpy(model.identity(person).pose(Pose()).canonical.vertices[skin]).float()
+    torch.testing.assert_close(still.canonical, shut - shift, atol=1e-5, rtol=0)
+    assert torch.equal(still.posed, control.posed)
+    assert (still.canonical - control.canonical).norm(dim=-1).max() > 0.01
+    with pytest.raises(ValueError, match="70 control points, the bust's skin has"):
+        shots.neutral(Control(*(a[:70] for a in control)), {"person": person.model_dump()}, origin)
+
+
+# ---------------------------------------------------------------- backgrounds
+
+
+@pytest.fixture(scope="module")
+def transparent(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("transparent") / "out"
+    job = fake_renderer.small_job(image={"linear": False, "background": "transparent"})
+    assert render_job(job, out, workers=1, renderer=fake_renderer.RENDERER).complete
+    return out
+
+
+def test_transparent_pictures_get_one_random_background(transparent: Path):
+    pairs = PortraitPairs(transparent, SMALL, seed=1, augment=True)
+    one, same = pairs[3], PortraitPairs(transparent, SMALL, seed=1, augment=True)[3]
+    later = pairs[4 + len(pairs)]
+    assert one.transparent and equal(one, same)
+    assert not torch.allclose(one.background, later.background)
+    for picture, alpha in ((one.app.image, one.app.alpha), (one.mot_image, one.alpha)):
+        empty = (alpha == 0).expand(3, -1, -1)
+        # The source's is bent with it, by a pixel at most.
+        assert (picture - one.background)[empty].abs().median() < 0.02
+    assert one.foreground[(one.alpha == 0).expand(3, -1, -1)].max() == 0
+    still = PortraitPairs(transparent, SMALL, seed=1)[3]
+    assert still.background.max() == 0 and torch.allclose(
+        still.mot_image, still.foreground, atol=1e-4
+    )
+
+
+def test_half_of_the_backgrounds_are_the_light_itself() -> None:
+    """Seen by the camera, out of focus: a real background tells of the light as well."""
+    sun = (texel_directions(32) @ torch.tensor([0.6, 0.0, -0.8])).clamp_min(0)[..., None] ** 8
+    maps = lightmaps.bake((2 * sun + 0.1).expand(-1, -1, 3).contiguous(), 32)
+    lens = torch.tensor([[40.0, 0, 20], [0, 40.0, 20], [0, 0, 1]])
+    seen = backgrounds.environment(maps, lens, 40)
+    brightest = divmod(int(seen[0].argmax()), 40)
+    # 0.6 / 0.8 to the right of the middle is 30 pixels: at the edge.
+    assert brightest[1] == 39 and abs(brightest[0] - 19.5) < 3
+    drawn = [
+        backgrounds.draw_background(np.random.default_rng(k), maps, lens, 40) for k in range(40)
+    ]
+    own = sum(torch.equal(picture, seen) for picture in drawn)
+    assert 10 < own < 30
+
+
+def test_light_adds_up_before_it_is_shown():
+    """A half covered pixel is D(a c + (1 - a) b), not the mean of what is shown."""
+    colour, behind = torch.full((3, 1, 1), 0.9), torch.full((3, 1, 1), 0.1)
+    half = display(0.5 * undisplay(colour, 0), 0)
+    shown = put_over(half, torch.full((1, 1, 1), 0.5), behind)
+    wanted = display(0.5 * undisplay(colour, 0) + 0.5 * undisplay(behind, 0), 0)
+    assert torch.allclose(shown, wanted, atol=1e-3)
+    assert (shown - 0.5).abs().min() > 0.1
+
+
+def test_opaque_pictures_keep_their_background(small_dataset: Path):
+    sample = PortraitPairs(small_dataset, SMALL, seed=1, augment=True)[0]
+    assert not sample.transparent and sample.background.max() == 0
+    assert torch.equal(sample.foreground, sample.alpha * sample.mot_image)
+
+
+def test_sources_of_training_lie_as_those_of_a_fit(transparent: Path):
+    """The picture is bent against its bust by a share of a per cent of the frame, the camera goes
+    round the head by degrees."""
+    whole = dataclasses.replace(SMALL, image=96)
+    source = PortraitPairs(transparent, whole, seed=1)[0].app
+    angles, shifts = [], []
+    grid = torch.stack(torch.meshgrid(*2 * [torch.arange(96) / 96], indexing="ij"))
+    ramp = source._replace(image=torch.cat([grid, grid[:1]]))
+    for seed in range(12):
+        bent = misfitted(ramp, np.random.default_rng(seed))
+        turn = bent.camera_to_world[:3, :3] @ source.camera_to_world[:3, :3].T
+        angles.append(math.degrees(math.acos(min(1, (float(turn.trace()) - 1) / 2))))
+        distance = [
+            camera[:3, 3].norm() for camera in (bent.camera_to_world, source.camera_to_world)
+        ]
+        assert distance[0] == pytest.approx(float(distance[1]), abs=1e-5)
+        shifts.append((bent.image - ramp.image)[:2, 8:-8, 8:-8].norm(dim=0).mean())
+    assert 1 < np.mean(angles) < 4
+    assert 0.002 < np.mean(shifts) < 0.012
 
 
 # ---------------------------------------------------------------- resizing

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import fake_renderer
 import numpy as np
 import pytest
 import torch
@@ -17,7 +18,8 @@ from assets_procedural.motion.poses import ARKIT_NAMES, Pose
 from assets_procedural.people.people_settings import PeopleSettings
 from assets_procedural.people.person_sampling import sample_person
 from assets_procedural.person import Person
-from totalediting.data import portraits
+from synthgen.farm.local import render_job
+from totalediting.data import portraits, shots
 from totalediting.data.endless import loader
 from totalediting.data.portraits import Portraits
 from totalediting.geometry import identity
@@ -58,6 +60,22 @@ def test_portraits_say_what_a_tracker_should_find(small_dataset: Path, basis):
     assert (portrait.normal[2][seen] > -0.05).all()  # towards the camera
     batch = next(iter(loader(data, 2)))
     assert isinstance(batch.truth, Tracking) and batch.truth.shift.shape == (2, 2)
+
+
+def test_transparent_portraits_get_a_background(tmp_path: Path):
+    job = fake_renderer.small_job(image={"linear": False, "background": "transparent"})
+    assert render_job(job, tmp_path / "out", workers=1, renderer=fake_renderer.RENDERER).complete
+    data = Portraits(tmp_path / "out", SMALL)
+    first, later = data[1], data[1 + len(data)]
+    assert equal(first, Portraits(tmp_path / "out", SMALL)[1])
+    empty = (first.alpha == 0).expand(3, -1, -1)
+    assert first.image[empty].max() > 0
+    for portrait in (first, later):
+        seen = shots.picture(
+            data.shots.read(data.keys.index(portrait.key), "rgb_00")["rgb_00"], SMALL.image
+        )
+        assert seen[(portrait.alpha == 0).expand(3, -1, -1)].max() == 0
+    assert not torch.equal(first.image, later.image)
 
 
 def test_mirroring_is_at_random_and_changes_nothing_else(small_dataset: Path, basis):

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from totalediting.geometry import volume
-from totalediting.geometry.frontal import LAID
+from totalediting.geometry.shown import COVERAGE, SIGHT
 from totalediting.light import phong
 from totalediting.light.lightmaps import bake
 from totalediting.networks import decoders
@@ -22,10 +22,12 @@ from totalediting.networks.decoders import (
     PlainDecoder,
     Shading,
     ShadingDecoder,
+    shown_channels,
 )
 from totalediting.presets import PRESETS, Preset
 
 TINY = PRESETS["tiny"]
+SHOWN = shown_channels(TINY)
 B, N = 2, 50
 
 
@@ -48,14 +50,16 @@ def lightmaps(seed: int = 0) -> Tensor:
 
 
 def features(seed: int = 0) -> Tensor:
-    return torch.randn(B, N, TINY.plane_channels + LAID, generator=seeded(seed))
+    return torch.randn(B, N, TINY.plane_channels + 3 + SHOWN, generator=seeded(seed))
 
 
-def of_geometry(seed: int = 0) -> tuple[Tensor, Tensor]:
-    """t_geo, and how far points are inside the skin."""
+def of_geometry(seed: int = 0) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """t_geo, how far points are inside the skin, where they are, and what the source shows."""
     generator = seeded(seed)
     inside = 0.02 * torch.randn(B, N, generator=generator)
-    return torch.randn(B, N, TINY.plane_channels, generator=generator), inside
+    features = torch.randn(B, N, TINY.plane_channels, generator=generator)
+    places, seen = (2 * torch.rand(B, N, n, generator=generator) - 1 for n in (3, SHOWN))
+    return features, inside, places, seen
 
 
 def same(directions: Tensor) -> Tensor:
@@ -96,18 +100,29 @@ def test_density_is_positive_and_follows_the_last_layer() -> None:
     with torch.no_grad():
         last.weight.zero_()
         last.bias.fill_(41.0)
-    features, inside = of_geometry()
-    full = DENSITY_SCALE * (40.0 + decoders.FULL * torch.sigmoid(inside / decoders.SKIN))
-    torch.testing.assert_close(decoder(features, inside), full)
+    features, inside, places, seen = of_geometry()
+    skin, bare = torch.sigmoid(inside / decoders.SKIN), (1 - seen[..., COVERAGE]) / 2
+    full = DENSITY_SCALE * (40.0 + decoders.FULL * skin - decoders.CLEAR * (1 - skin) * bare)
+    torch.testing.assert_close(decoder(features, inside, places, seen), full)
 
 
 def test_a_fresh_volume_is_the_skin_in_a_translucent_fog() -> None:
     torch.manual_seed(0)
     decoder = GeometryDecoder(TINY)
     features = torch.randn(1, 4096, TINY.plane_channels)
-    outside, inside = (decoder(features, torch.full((1, 4096), i)) for i in (-1.0, 1.0))
-    blank = decoder(torch.zeros(1, 1, TINY.plane_channels), torch.zeros(1, 1)).item()
-    fog = decoders.FRESH + decoders.FULL / 2  # on the skin, of which nothing is known
+    seen = 2 * torch.rand(1, 4096, SHOWN) - 1
+    seen[..., COVERAGE] = 1
+    places = 2 * torch.rand(1, 4096, 3) - 1
+    outside, inside = (
+        decoder(features, torch.full((1, 4096), i), places, seen) for i in (-1.0, 1.0)
+    )
+    seen[..., COVERAGE] = -1
+    bare = decoder(features, torch.full((1, 4096), -1.0), places, seen)
+    assert 1.0 - math.exp(-0.6 * bare.mean().item()) < 0.01, "none beside what the source covers"
+    none = torch.zeros(1, 1, SHOWN)
+    nothing = torch.zeros(1, 1, TINY.plane_channels), torch.zeros(1, 1), torch.zeros(1, 1, 3), none
+    blank = decoder(*nothing).item()
+    fog = decoders.FRESH + decoders.FULL / 2 - decoders.CLEAR / 4  # on the skin, half covered
     assert blank == pytest.approx(DENSITY_SCALE * math.log1p(math.exp(fog - 1.0)), rel=1e-5)
     assert 0.1 < 1.0 - math.exp(-0.6 * outside.mean().item()) < 0.8
     assert (1.0 - (-0.015 * inside).exp()).min() > 0.9, "within 15 mm"
@@ -119,7 +134,8 @@ def test_a_fresh_surface_is_matt_and_has_no_residual() -> None:
     assert (shading.k_d - 1.0).abs().max() < 0.05
     assert (shading.k_s - decoders.FRESH_SPECULAR).abs().max() < 0.02
     assert not shading.residual.any()
-    assert (shading.canonical_normal[..., 1] < 0).float().mean() > 0.5, "faces look along -Y"
+    skin = functional.normalize(features()[..., -SHOWN - 3 : -SHOWN], dim=-1)
+    torch.testing.assert_close(shading.canonical_normal, skin)
 
 
 def test_shapes_and_ranges(decoder: ShadingDecoder) -> None:
@@ -147,15 +163,48 @@ def test_colour_is_the_render_equation(decoder: ShadingDecoder) -> None:
 
 
 def test_shading_is_linear_in_light(decoder: ShadingDecoder) -> None:
+    """The residual as well, which is a sum of shadings."""
     first, second = lightmaps(0), lightmaps(1)
 
     def lit(light: Tensor) -> Tensor:
-        shading = shade(decoder, light)
-        return shading.diffuse + shading.specular
+        return shade(decoder, light).colour
 
+    assert shade(decoder, first).residual.abs().max() > 0.01
     torch.testing.assert_close(lit(2.0 * first), 2.0 * lit(first), atol=0, rtol=1e-5)
     torch.testing.assert_close(lit(first + second), lit(first) + lit(second))
     assert not lit(torch.zeros_like(first)).any()
+
+
+def test_transfer_lobes_gather_light_from_elsewhere_and_stay_linear() -> None:
+    torch.manual_seed(0)
+    decoder = ShadingDecoder(replace(TINY, occlusion="lobes"))
+    plain = ShadingDecoder(TINY)
+    plain.load_state_dict(decoder.state_dict(), strict=False)
+    fresh, without = shade(decoder, lightmaps()), shade(plain, lightmaps())
+    more = fresh.diffuse - without.diffuse
+    assert (more > 0).all() and (more < 0.35 * without.diffuse + 0.3).all()
+    trained(decoder)
+    first, second = lightmaps(0), lightmaps(1)
+    one, other, both = (shade(decoder, m).colour for m in (first, second, first + second))
+    torch.testing.assert_close(both, one + other)
+    # All of k_d gone, what is left has none of the light at n itself.
+    with torch.no_grad():
+        last = decoder.diffuse[-1]
+        assert isinstance(last, nn.Linear)
+        last.weight.zero_()
+        last.bias.fill_(-30.0)
+    assert shade(decoder, lightmaps()).diffuse.min() > 0
+    decoder.zero_grad()
+    shade(decoder, lightmaps()).diffuse.sum().backward()
+    assert decoder.transfer is not None
+    assert all(p.grad is not None and p.grad.any() for p in decoder.transfer.parameters())
+
+
+def test_the_papers_residual_is_a_switch() -> None:
+    torch.manual_seed(0)
+    decoder = trained(ShadingDecoder(replace(TINY, residual="paper")))
+    one, two = (shade(decoder, k * lightmaps()).residual for k in (1.0, 2.0))
+    assert not torch.allclose(two, 2 * one, rtol=0.05)
 
 
 def test_material_knows_no_light(decoder: ShadingDecoder) -> None:
@@ -193,14 +242,18 @@ def test_gradients_reach_all_that_is_learnt(decoder: ShadingDecoder) -> None:
     assert all(p.grad is not None and p.grad.any() for p in geometry.parameters())
 
 
-@pytest.mark.parametrize("kind", [ShadingDecoder, PlainDecoder])
-def test_fresh_colour_is_the_sources(kind: type[nn.Module]) -> None:
-    """Of the side that the camera sees squarely, whatever the other shows."""
+@pytest.mark.parametrize(("kind", "first"), [(ShadingDecoder, 3), (PlainDecoder, 0)])
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_fresh_colour_is_the_sources(kind: type[nn.Module], first: int, mirrored: bool) -> None:
+    """Unlit for the one, lit for the other; of the side that is seen, whatever the other shows."""
     torch.manual_seed(0)
     given = features()
     shown = torch.rand(B, N, 3, generator=seeded(3)) * 0.6 + 0.2
-    given[..., TINY.plane_channels :][..., :4] = torch.cat([2 * shown - 1, torch.ones(B, N, 1)], -1)
-    given[..., TINY.plane_channels :][..., 7] = -1.0
+    told = given[..., -SHOWN:].unflatten(-1, (2, -1))
+    told[..., :6] = torch.rand(B, N, 2, 6, generator=seeded(4))
+    told[..., SIGHT - 2] = -1.0
+    told[..., int(mirrored), SIGHT - 2] = 1.0
+    told[..., int(mirrored), first : first + 3] = 2 * shown - 1
     found = kind(TINY)(given, same, units(2), lightmaps(), rotations(1)).albedo
     torch.testing.assert_close(phong.display(found), shown, atol=0.02, rtol=0)
 
@@ -234,7 +287,9 @@ def test_presets(preset: Preset) -> None:
     with torch.device("meta"):
         both = Decoders(preset)
         t = torch.zeros(1, 7, preset.plane_channels)
-        assert both.geometry(t, t[..., 0]).shape == (1, 7)
+        assert both.geometry(
+            t, t[..., 0], t[..., :3], torch.zeros(1, 7, shown_channels(preset))
+        ).shape == (1, 7)
     assert isinstance(both.shading, ShadingDecoder)
     plain = Decoders(replace(preset, decoder="plain"))
     assert isinstance(plain.shading, PlainDecoder)
@@ -260,7 +315,7 @@ def test_wrong_shapes_are_named(decoder: ShadingDecoder) -> None:
 
 
 def test_planes_are_trained_through_the_decoders(decoder: ShadingDecoder) -> None:
-    planes = torch.randn(B, 3, TINY.plane_channels + LAID, 8, 8, requires_grad=True)
+    planes = torch.randn(B, 3, TINY.plane_channels + 3 + SHOWN, 8, 8, requires_grad=True)
     found = volume.triplane(planes, 2 * torch.rand(B, N, 3) - 1)
     decoder(found, same, units(2), lightmaps(), rotations(1)).colour.sum().backward()
     assert planes.grad is not None and planes.grad.abs().sum((0, 3, 4)).all()

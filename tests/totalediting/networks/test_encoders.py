@@ -10,6 +10,11 @@ from torch.nn import functional
 
 from assets_procedural.conventions.camera import SENSOR_MM, CameraSample
 from assets_procedural.motion.poses import ARKIT_NAMES
+from totalediting.geometry import field
+from totalediting.geometry.field import Table
+from totalediting.geometry.relief import CHANNELS
+from totalediting.geometry.shown import PIXEL, SIGHT, Sheet
+from totalediting.geometry.space import box
 from totalediting.geometry.tracking import CODE, EXPRESSIONS, FILL, FOCAL_MM, SIZES, Tracking
 from totalediting.networks import head_tracker
 from totalediting.networks.appearance import Appearance, AppearanceEncoder
@@ -57,7 +62,7 @@ class Encoders(nn.Module):
         self.tracker = HeadTracker(preset)
 
     def forward(self, image: Tensor, e_app: Tensor, e_mot: Tensor) -> Tensor:
-        global_, detail = self.appearance(image, laid(image))
+        global_, detail, _ = self.appearance(sheet(image))
         return self.triplane(fuse(self.deenactor, self.reenactor, global_, e_app, e_mot), detail)
 
 
@@ -76,11 +81,22 @@ def pictures(count: int, side: int, seed: int = 1) -> Tensor:
     return torch.rand(count, 3, side, side, generator=torch.Generator().manual_seed(seed))
 
 
-def laid(image: Tensor) -> Tensor:
-    """A picture that needs no turning, as `frontalise` gives it."""
-    facing, front, back = 1.0, 0.3, 0.7
-    more = [torch.full_like(image[:, :1], value) for value in (facing, front, back)]
-    return torch.cat([image, *more], 1)
+def sheet(image: Tensor) -> Sheet:
+    """A source that needs no turning: a slab across the box, seen from afar."""
+    batch, side = len(image), image.shape[-1]
+    one = torch.ones_like(image[:, :1])
+    pixels = torch.cat([image, image, one, one, 100 * one], 1)
+    still = torch.zeros(batch, 7, 2, 2, 2)
+    still[:, 3] = 1
+    low, high = (tensor.to(image.device) for tensor in box(torch.zeros(1)))
+    camera = torch.eye(4)
+    camera[:3, :3] = torch.tensor([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+    camera[:3, 3] = torch.tensor([0.0, -20.0, 0.0])
+    lens = torch.tensor([[32.0 * side, 0, side / 2], [0, 32.0 * side, side / 2], [0, 0, 1]])
+    relief = torch.zeros(batch, CHANNELS, 64, 64)
+    camera, lens = (a.to(image.device).expand(batch, -1, -1) for a in (camera, lens))
+    still = Table(still.to(image.device), low, high, (batch,))
+    return Sheet(pixels, still, camera, lens, relief.to(image.device))
 
 
 def codes(count: int, seed: int = 2) -> Tensor:
@@ -95,12 +111,13 @@ def awake(module: nn.Module) -> None:
 
 
 @pytest.mark.parametrize("name", PRESETS)
-def test_shapes_fit_together_in_every_preset(name):
+def test_shapes_fit_together_in_every_preset(name, monkeypatch):
+    monkeypatch.setattr(field, "check_points", lambda points: None)  # which looks at values
     p = PRESETS[name]
     with torch.device("meta"):
         net = Encoders(p)
         image, code = torch.rand(2, 3, p.image, p.image), torch.rand(2, CODE)
-        appearance = net.appearance(image, laid(image))
+        appearance = net.appearance(sheet(image))
         assert isinstance(appearance, Appearance)
         assert appearance.global_.shape == (2, p.global_channels, p.image // 8, p.image // 8)
         assert appearance.detail.shape == (2, p.detail_channels, p.image // 2, p.image // 2)
@@ -120,7 +137,9 @@ def test_gradients_reach_every_parameter():
     image = pictures(2, MINI.image)
     planes = net(image, codes(2, 2), codes(2, 3))
     assert planes.isfinite().all()
-    (planes.square().mean() + sum(x.square().mean() for x in net.tracker(image))).backward()
+    aligned = net.appearance(sheet(image)).shown.aligned
+    found = [planes, aligned, *net.tracker(image)]
+    torch.stack([x.square().mean() for x in found]).sum().backward()
     for name, parameter in net.named_parameters():
         assert parameter.grad is not None, name
         assert parameter.grad.isfinite().all() and parameter.grad.abs().max() > 0, name
@@ -129,7 +148,7 @@ def test_gradients_reach_every_parameter():
 def test_a_fresh_network_neither_explodes_nor_vanishes():
     net = encoders(TINY)
     image = pictures(1, TINY.image)
-    global_, detail = net.appearance(image, laid(image))
+    global_, detail, _ = net.appearance(sheet(image))
     fused = fuse(net.deenactor, net.reenactor, global_, codes(1), codes(1))
     for map_ in (global_, detail, fused, net.triplane(fused, detail)):
         assert 0.2 < map_.std() < 5
@@ -203,26 +222,26 @@ def test_full_has_the_convolutions_of_a_resnet34():
     with torch.device("meta"):
         trunk = AppearanceEncoder(PRESETS["full"]).trunk
     weights = sum(p.numel() for p in trunk.parameters() if p.ndim == 4)
-    # 21,267,648 are those of ResNet-34 without its classifier; the picture laid out, its mirror
-    # image, the relief, x and y are twelve channels more.
-    assert weights == 21_267_648 + 12 * 64 * 7 * 7
+    # 21,267,648 are those of ResNet-34 without its classifier; beside the picture there are what is
+    # known of its light, coverage and skin, both sides of the front, x and y.
+    assert weights == 21_267_648 + (PIXEL - 3 + 2 * SIGHT + 2) * 64 * 7 * 7
 
 
 @torch.no_grad()
 def test_detail_is_local_and_the_global_map_is_not():
     encoder = encoders().appearance
-    image = pictures(1, MINI.image)
-    frontal, dotted = laid(image), laid(image)
+    one = pictures(1, MINI.image)
+    dotted = one.clone()
     dotted[:, :, 20, 40] = 1 - dotted[:, :, 20, 40]
-    before, after = encoder(image, frontal), encoder(image, dotted)
-    changed = (after.detail != before.detail)[0].any(0)
-    # Once where it is, once in the mirror image.
-    rows, columns = changed[:, MINI.image // 4 :].nonzero().unbind(-1)
-    columns = columns + MINI.image // 4
-    assert changed[:, : MINI.image // 4].any()
-    # 3 pixels of the first convolution and 2 of each of the four others.
+    before, after = encoder(sheet(one)), encoder(sheet(dotted))
+    # 3 pixels of the first convolution and 2 of each of the four others, aligned with the picture.
+    changed = (after.shown.aligned != before.shown.aligned)[0].any(0)
+    rows, columns = changed.nonzero().unbind(-1)
     assert ((2 * rows - 20).abs() <= 11).all() and ((2 * columns - 40).abs() <= 11).all()
     assert len(rows) >= 9 * 9
+    # On the front of the bust, both where it is and in the mirror image.
+    laid = (after.detail - before.detail)[0].abs().amax(0) > 1e-6
+    assert laid.any() and not laid.all()
     assert (after.global_ != before.global_)[0].any(0).all()
 
 
@@ -451,12 +470,10 @@ def test_norm_takes_any_number_of_channels(channels):
 def test_wrong_shapes_are_refused_with_their_shape():
     net = encoders()
     image, code = pictures(2, MINI.image), codes(2)
-    global_, detail = net.appearance(image, laid(image))
+    global_, detail, _ = net.appearance(sheet(image))
     feature = torch.zeros(2, MINI.token_dim, MINI.tokens, MINI.tokens)
     wrong = (
-        (lambda: net.appearance(image[:, :, :32], laid(image)), r"image .*\(2, 3, 32, 64\)"),
-        (lambda: net.appearance(image[0], laid(image)), r"image .*\(3, 64, 64\)"),
-        (lambda: net.appearance(image, image), r"frontal .*\(2, 3, 64, 64\)"),
+        (lambda: net.appearance(sheet(image[..., :32, :32])), r"pixels .*\(2, 9, 32, 32\)"),
         (lambda: net.tracker(image[:, :1]), r"\(2, 1, 64, 64\)"),
         (lambda: net.deenactor(detail, code), r"\(2, 16, 32, 32\)"),
         (lambda: net.deenactor(global_, code[:1]), r"\(1, 54\)"),

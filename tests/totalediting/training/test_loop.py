@@ -10,11 +10,13 @@ from pathlib import Path
 import pytest
 import torch
 import toy_training
+from torch import Tensor, nn
 from toy_training import SCHEDULE, Line
 
 from totalediting.errors import InputError
 from totalediting.training import checkpoints, loop
 from totalediting.training.loop import learning_rate, paced, train
+from totalediting.training.stage import Loss
 
 FACTS = {"data": "line"}
 SCRIPT = Path(toy_training.__file__)
@@ -141,3 +143,33 @@ def test_a_module_sets_its_own_pace() -> None:
         for p, q in zip(network.parameters(), before, strict=True)
     ]
     assert moved == pytest.approx([5e-3, 5e-3, 1e-3, 1e-3], rel=1e-3)
+
+
+def test_adversaries_are_clipped_each_by_its_own_norm() -> None:
+    """A critic's steep step must not shrink the generator's."""
+
+    class Two(nn.Module):
+        def __init__(self) -> None:
+            super().__init__()
+            self.made, self.critic = nn.Parameter(torch.zeros(2)), nn.Parameter(torch.zeros(2))
+
+        @property
+        def clipped(self) -> list[nn.Module]:
+            return [nn.ParameterList([self.made]), nn.ParameterList([self.critic])]
+
+    two = Two()
+
+    class Both(Line):
+        def __init__(self) -> None:
+            super().__init__()
+            self.network = two  # pyright: ignore[reportAttributeAccessIssue]
+
+        def loss(self, network: nn.Module, batch: Tensor, step: int) -> Loss:
+            return two.made.sum() + 1000 * two.critic.sum(), {}
+
+    training = loop.Training(loop.launch(loop.Machine()), Both(), SCHEDULE)
+    made = loop.step(training, torch.zeros(1), 0)
+    assert made.gradient == pytest.approx(1000 * 2**0.5)
+    for parameter in (two.made, two.critic):
+        assert parameter.grad is not None
+        assert float(parameter.grad.norm()) == pytest.approx(1.0, rel=1e-4)

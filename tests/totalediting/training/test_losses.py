@@ -6,9 +6,10 @@ import pytest
 import torch
 import torch.nn.functional as F
 
+from totalediting import metrics
 from totalediting.light import lightmaps
 from totalediting.networks.lightmap_estimator import fold, texel_weights
-from totalediting.training import losses, metrics
+from totalediting.training import losses
 from totalediting.training.losses import OURS, PAPER, TERMS, LossWeights, total
 
 
@@ -31,6 +32,18 @@ def test_l1_where_nothing_counts_is_zero_without_gradient():
     loss = losses.l1(a, torch.zeros(1, 3, 2, 2), torch.zeros(1, 1, 2, 2))
     loss.backward()
     assert loss.item() == 0.0 and a.grad is not None and not a.grad.any()
+
+
+def test_figures_say_by_which_pixels():
+    """Black around a subject makes an error look small; by the matte it does not count."""
+    truth, matte = torch.full((1, 3, 16, 16), 0.5), torch.zeros(1, 1, 16, 16)
+    matte[..., :4] = 1.0
+    found = metrics.picture_figures(matte * (truth + 0.1), matte * truth, matte)
+    assert found["matte_psnr"].item() == pytest.approx(20.0, abs=1e-3)
+    assert found["psnr"].item() == pytest.approx(20.0 + 10 * math.log10(4), abs=1e-3)
+    assert 0 < found["ssim"].item() < 1
+    source = metrics.source_figures(truth + 0.1, matte * truth, matte)
+    assert source["source_matte_psnr"].item() == pytest.approx(20.0, abs=1e-3)
 
 
 def test_other_shapes_are_refused_with_the_shapes():
@@ -163,10 +176,12 @@ def test_the_schedule():
 def test_dates_keep_their_share_of_a_run(steps: int):
     weights = OURS.over(steps)
     whole, start = OURS.at(100_000), weights.at(0)
-    for term, percent in (("identity", 20), ("adversarial", 10)):
-        first = steps * percent // 100
-        assert not any(weights.at(step)[term] for step in {0, first - 1} if 0 <= step < first)
-        assert all(weights.at(step)[term] == whole[term] for step in (first, first + 1, steps))
+    # L_adv is last; L_LPIPS and L_id are there from the first step on.
+    first = steps * 50 // 100
+    adversarial = [weights.at(step)["adversarial"] for step in (first, first + 1, steps)]
+    assert adversarial == 3 * [whole["adversarial"]]
+    assert not any(weights.at(s)["adversarial"] for s in {0, first - 1} if 0 <= s < first)
+    assert start["lpips"] == whole["lpips"] and start["identity"] == whole["identity"]
     # R_n: nothing until 2 % of the run, half at 6 %, all from 10 % on.
     low, middle, high = (steps * percent // 100 for percent in (2, 6, 10))
     ramp = [weights.at(step)["density_normal"] for step in (low, middle, high, steps)]
@@ -175,7 +190,7 @@ def test_dates_keep_their_share_of_a_run(steps: int):
         half = 0.5 * whole["density_normal"]
         assert ramp[:2] == [0.0, pytest.approx(half)] and start["density_normal"] == 0.0
     # The rest knows no date, and the end is that of the schedule it comes from.
-    dated = ("identity", "adversarial", "density_normal", "tv")
+    dated = ("adversarial", "density_normal", "tv")
     assert all(start[term] == whole[term] for term in TERMS if term not in dated)
     assert weights.tv_every == OURS.tv_every
     assert {**weights.at(steps), "tv": 0.0} == {**whole, "tv": 0.0}

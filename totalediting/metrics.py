@@ -29,6 +29,34 @@ def psnr(prediction: Tensor, truth: Tensor, matte: Tensor | None = None) -> Tens
     return -10.0 * (a - b).square().mean((1, 2, 3)).log10()
 
 
+def psnr_within(prediction: Tensor, truth: Tensor, weight: Tensor) -> Tensor:
+    """The same by a weight (B, 1, H, W) of pixels alone: black around a subject counts nothing.
+
+    NaN where no pixel counts.
+    """
+    _check(prediction, truth, weight)
+    error = ((prediction - truth).square().mean(1, keepdim=True) * weight).sum((1, 2, 3))
+    return -10.0 * (error / weight.sum((1, 2, 3))).log10()
+
+
+def picture_figures(prediction: Tensor, truth: Tensor, matte: Tensor) -> dict[str, Tensor]:
+    """PSNR and SSIM (B,) of pictures over black by all pixels, and PSNR by the matte's alone.
+
+    The former is higher by the share of the frame that is black: 3 to 5 dB for a portrait.
+    """
+    return {
+        "psnr": psnr(prediction, truth),
+        "matte_psnr": psnr_within(prediction, truth, matte),
+        "ssim": ssim(prediction, truth),
+    }
+
+
+def source_figures(source: Tensor, truth: Tensor, matte: Tensor) -> dict[str, Tensor]:
+    """The same of returning the source within the truth's matte, but SSIM."""
+    found = picture_figures(matte * source, truth, matte)
+    return {f"source_{name}": found[name] for name in ("psnr", "matte_psnr")}
+
+
 def ssim(prediction: Tensor, truth: Tensor, matte: Tensor | None = None) -> Tensor:
     """Structural similarity (B,), at most 1, of Wang et al. 2004, for a range of 1.
 

@@ -1,0 +1,1 @@
+"""What needs no training: the floors that a trained model must beat."""
