@@ -148,7 +148,7 @@ def draw_hair(
     thinning = np.clip((age - 35.0) / 60.0, 0.0, 1.0) * (0.55 if male else 0.3)
     receding, bare = _draw_loss(rng, age, male)
     side = float(rng.choice([-1.0, 1.0]))
-    parting = 0.0 if rng.random() < 0.3 else side * rng.uniform(0.3, 1.0)
+    parting = side * (rng.uniform(0.0, 0.1) if rng.random() < 0.15 else rng.uniform(0.3, 1.0))
     return Hair(
         style=style,
         colour=colour,
