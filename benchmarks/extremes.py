@@ -72,7 +72,7 @@ def push(person: Person, rng: np.random.Generator) -> Person:
     data = person.model_dump()
     for part in PARTS:
         for name, value in data[part].items():
-            if name == "seed" or isinstance(value, str | bool | tuple | list):
+            if name == "seed" or isinstance(value, bool) or not isinstance(value, int | float):
                 continue
             low, high = ENDS.get((part, name), (0.0, 1.0))
             # Where an end is not known the value has no upper one; it is left as drawn.

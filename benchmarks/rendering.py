@@ -17,12 +17,17 @@ from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import report
 
 from synthgen.farm.process import redirect
+
+if TYPE_CHECKING:  # processes of their own load Blender
+    from assets_procedural.body.head import Identity
+    from synthgen.planning.plan import SubjectPlan
+    from synthgen.stage.build import Figure
 
 STEPS = ("build", "pose", "sync", "sample", "denoise", "labels", "develop", "write")
 SAMPLES = (4, 8, 16, 32, 64)
@@ -32,12 +37,11 @@ def measure(index: int, resolution: int) -> dict[str, float]:
     """CPU seconds of each step for subject `index`; `sample` is for one sample of one frame."""
     import bpy
 
-    from assets_procedural.assembly import pieces
     from assets_procedural.body.head import HeadModel
     from assets_procedural.conventions.camera import resolve
     from synthgen.dataset.shards import encode
     from synthgen.stage import render, scene
-    from synthgen.stage.build import build_figure, pose_figure
+    from synthgen.stage.build import pose_figure
     from synthgen.stage.geometry import frame_of_head
 
     job, subject, folder = _subject(index, resolution)
@@ -54,7 +58,7 @@ def measure(index: int, resolution: int) -> dict[str, float]:
         identity = model.identity(subject.person)
         scene.open_stage(resolution, 2, "cpu", 1)
         scene.hold_scene()
-        figure = build_figure(subject.person, identity, pieces(subject.person, identity))
+        figure = _figure(subject, identity, resolution)
     with timed("pose"):
         bust = identity.pose(subject.poses[0])
         pose_figure(figure, bust)
@@ -98,19 +102,18 @@ def measure(index: int, resolution: int) -> dict[str, float]:
 
 def fidelity(index: int, resolution: int, reference: int) -> list[float]:
     """PSNR in dB of each entry of SAMPLES against `reference` samples, both denoised."""
-    from assets_procedural.assembly import pieces
     from assets_procedural.body.head import HeadModel
     from assets_procedural.conventions.camera import resolve
     from assets_procedural.conventions.colour import display
     from synthgen.stage import photograph, scene
-    from synthgen.stage.build import build_figure, pose_figure
+    from synthgen.stage.build import pose_figure
     from synthgen.stage.geometry import frame_of_head
 
     _, subject, folder = _subject(index, resolution)
     identity = HeadModel.load().identity(subject.person)
     scene.open_stage(resolution, 4, "cpu", 1)
     scene.hold_scene()
-    figure = build_figure(subject.person, identity, pieces(subject.person, identity))
+    figure = _figure(subject, identity, resolution)
     bust = identity.pose(subject.poses[0])
     pose_figure(figure, bust)
     camera = resolve(subject.cameras[0], *frame_of_head(bust), resolution)
@@ -134,6 +137,17 @@ def fidelity(index: int, resolution: int, reference: int) -> list[float]:
     return result
 
 
+def _figure(subject: SubjectPlan, identity: Identity, resolution: int) -> Figure:
+    """The subject on the stage, with as many strands as `render_subject` gives such pixels."""
+    from assets_procedural.assembly import pieces
+    from synthgen.stage.build import build_figure, strands_for_pixel
+    from synthgen.stage.geometry import frame_of_head
+
+    pixel = frame_of_head(identity.neutral)[1] / (subject.cameras[0].fill * resolution)
+    parts = strands_for_pixel(pieces(subject.person, identity), pixel)
+    return build_figure(subject.person, identity, parts)
+
+
 def _subject(index: int, resolution: int):
     """The `index`-th subject of a fixed job, and a folder with its environments."""
     from assets_procedural.light.pool import pool, write_pool
@@ -153,7 +167,10 @@ def main() -> None:
     parser.add_argument("--subjects", type=int, default=3)
     parser.add_argument("--resolutions", type=int, nargs="+", default=[128, 256, 512])
     parser.add_argument(
-        "--reference", type=int, default=512, help="samples of the converged render"
+        "--reference",
+        type=int,
+        default=512,
+        help="samples of the converged render; 0: no such table",
     )
     options = parser.parse_args()
     with ProcessPoolExecutor(
@@ -168,6 +185,9 @@ def main() -> None:
             runs = list(pool.map(measure, range(options.subjects), [resolution] * options.subjects))
             means[resolution] = {step: np.mean([run[step] for run in runs]) for step in STEPS}
         report.table(["CPU seconds", *(f"{r}²" for r in options.resolutions)], costs(means))
+
+        if not options.reference:
+            return
 
         def quality(resolution: int) -> list[str]:
             count = options.subjects

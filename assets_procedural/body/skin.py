@@ -18,8 +18,9 @@ from assets_procedural.person import ADULT, Person
 
 # Absorbance (-ln reflectance) of bloodless unpigmented skin and of a full measure of each pigment,
 # fitted by eye to photographs from Fitzpatrick type I (melanin 0) to VI (melanin 1); the spectral
-# slope follows Donner & Jensen 2006: melanin absorbs blue most, haemoglobin green.
-BASE = -np.log(np.array([0.82, 0.61, 0.47]))
+# slope follows Donner & Jensen 2006: melanin absorbs blue most, haemoglobin green. Faces
+# then have hue angles of 45 to 65 degrees in CIELAB, as spectrophotometers find on all ancestries.
+BASE = -np.log(np.array([0.80, 0.625, 0.475]))
 MELANIN = np.array([2.02, 2.42, 2.74])
 HAEMOGLOBIN = np.array([0.10, 0.50, 0.42])
 # Perceived pigmentation is not linear in absorbance: equal steps of `melanin` look equal.
@@ -63,7 +64,7 @@ def skin_fields(person: Person, model: HeadModel) -> SkinFields:
     male = float(np.clip(1 - person.phenotypes.get("gender", 0.5), 0, 1))
     age = np.clip((person.age_years - 20) / 60, 0, 1)
 
-    blood = 0.32 + 0.58 * skin.haemoglobin
+    blood = 0.20 + 0.56 * skin.haemoglobin
     haemoglobin = blood * (
         1
         + 0.5 * flush[0] * zone["cheeks"]
@@ -97,7 +98,7 @@ def skin_fields(person: Person, model: HeadModel) -> SkinFields:
     own = 0.2 + 0.8 * np.random.default_rng([skin.seed, 4]).beta(2.0, 2.5)
     shaven = (0.4 + 0.6 * person.beard.density) if grown else own * dark
     shadow = male * shaven * zone["beard"] * (person.age_years > ADULT - 2)
-    colour *= 1 - 0.5 * shadow[:, None] * np.array([1.0, 0.88, 0.68])
+    colour *= 1 - 0.38 * shadow[:, None] * np.array([1.0, 0.93, 0.8])
 
     # Hair stubble within the skin: without it, partings and short cuts show a bare scalp.
     inside = np.clip(hairline_distance(model.template, person) / 7, 0, 1) * zone["scalp"]

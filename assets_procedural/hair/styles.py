@@ -84,7 +84,7 @@ class Style:
     ropes: int = 260
     plait: str = "loc"
     rows: int = 0
-    roughness: float = 0.24
+    roughness: float = 0.20
     under_hat: bool = False
 
 

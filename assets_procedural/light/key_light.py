@@ -20,7 +20,8 @@ from assets_procedural.conventions.panorama import (
 )
 
 _ROWS = 32
-_FRONT = np.array([0.0, -1.0, 0.0])
+# How much less than its brightest side a face may get, in stops, before it counts as in the shade.
+_SHADE = 0.8
 _CONE = math.cos(math.radians(15))
 # What is behind the face, relative to a white surface in the face's light: brighter than the first
 # it glares, darker than the second it is night around a lit face.
@@ -40,7 +41,7 @@ class Survey:
 def sample_key(rng: np.random.Generator) -> float:
     """An azimuth for the key: mostly 20 to 60 degrees to either side, at times frontal or a rim."""
     kind = rng.random()
-    low, high = (20, 60) if kind < 0.75 else (0, 20) if kind < 0.88 else (60, 105)
+    low, high = (20, 60) if kind < 0.75 else (0, 20) if kind < 0.94 else (60, 90)
     return math.radians(rng.uniform(low, high)) * float(rng.choice([-1.0, 1.0]))
 
 
@@ -57,24 +58,43 @@ def survey(panorama: np.ndarray) -> Survey:
     return Survey(math.atan2(x, -y), small / count)
 
 
-def rotation(found: Survey, key: float, views: Sequence[tuple[float, float]]) -> float:
-    """The rotation in [0, 2 pi) that brings a panorama's key to azimuth `key`, or near it.
+def rotation(
+    found: Survey, key: float, views: Sequence[tuple[float, float]], facing: float = 0.0
+) -> float:
+    """The rotation in [0, 2 pi) that brings a panorama's key to `key` from a face, or near it.
 
-    `views` are yaw and pitch of the cameras about the head. Where the background would glare or be
-    black behind a well exposed face, the other side and azimuths 25 degrees off are tried.
+    `views` are yaw and pitch of the cameras about the head, `facing` is the face's own azimuth; a
+    face is lit between where it looks and where it is seen from. Where that side of it would lie
+    in the shade, or the background glare or be black, the other side and azimuths 25 degrees off
+    are tried.
     """
     step = math.radians(25)
+    middle = 0.5 * (facing + sum(yaw for yaw, _ in views) / len(views))
     tried = [side * turn for turn in (key, key - step, key + step) for side in (1.0, -1.0)]
-    tried = [each for each in tried if abs(each) <= math.radians(110)]
-    strain = [_strain(found, each - found.key, views) + 0.1 * i for i, each in enumerate(tried)]
+    tried = [middle + each for each in tried if abs(each) <= math.radians(110)]
+    white = [_white(found, middle - each + found.key) for each in tried]
+    strain = [
+        _strain(found, each - found.key, light, views) + 0.1 * i
+        for i, (each, light) in enumerate(zip(tried, white, strict=True))
+    ]
     return (tried[int(np.argmin(strain))] - found.key) % (2 * math.pi)
 
 
-def _strain(found: Survey, angle: float, views: Sequence[tuple[float, float]]) -> float:
-    """By how many stops the background is too bright, or half of those it is too dark."""
+def _white(found: Survey, azimuth: float) -> float:
+    """Luminance of an upright white surface that looks towards an azimuth of the panorama."""
+    direction = texel_directions(_ROWS)
+    light = found.luminance * texel_solid_angles(_ROWS)[:, None]
+    normal = np.array([math.sin(azimuth), -math.cos(azimuth), 0.0])
+    return max(float((light * np.clip(direction @ normal, 0, None)).sum() / math.pi), 1e-9)
+
+
+def _strain(
+    found: Survey, angle: float, white: float, views: Sequence[tuple[float, float]]
+) -> float:
+    """By how many stops a face of luminance `white` is in its own shade, or the background is too
+    bright, or half of those it is too dark; the worst of them."""
     direction = rotate_z(texel_directions(_ROWS), angle)
     light = found.luminance * texel_solid_angles(_ROWS)[:, None]
-    white = (light * np.clip(direction @ _FRONT, 0, None)).sum() / math.pi
     levels = []
     for yaw, pitch in views:
         away = -np.array(
@@ -82,5 +102,7 @@ def _strain(found: Survey, angle: float, views: Sequence[tuple[float, float]]) -
         )
         seen = direction @ away > _CONE
         levels.append(light[seen].sum() / (texel_solid_angles(_ROWS)[:, None] * seen).sum())
-    level = max(float(np.mean(levels)) / max(float(white), 1e-9), 1e-6)
-    return max(math.log2(level / _GLARE), 0.5 * math.log2(_NIGHT / level), 0.0)
+    level = max(float(np.mean(levels)) / white, 1e-6)
+    brightest = max(_white(found, 2 * math.pi * i / 16) for i in range(16))
+    shade = math.log2(brightest / white) - _SHADE
+    return max(shade, math.log2(level / _GLARE), 0.5 * math.log2(_NIGHT / level), 0.0)

@@ -24,7 +24,7 @@ MOODS: dict[str, Actions] = {
         "mouthUpperUp": 0.45, "mouthLowerDown": 0.25, "browOuterUp": 0.2, "noseSneer": 0.1,
     },
     "amused": {
-        "mouthSmileLeft": 0.5, "mouthSmileRight": 0.25, "mouthPress": 0.15, "cheekSquint": 0.2,
+        "mouthSmileLeft": 0.48, "mouthSmileRight": 0.34, "mouthPress": 0.15, "cheekSquint": 0.2,
         "eyeSquint": 0.15, "browOuterUp": 0.12,
     },
     "smirk": {
@@ -98,11 +98,11 @@ MOODS: dict[str, Actions] = {
 """What faces do, by the name of a mood, at full strength."""
 
 EVERYDAY: dict[str, float] = {
-    "neutral": 2.0, "soft_smile": 5.0, "smile": 3.0, "amused": 1.5, "attentive": 1.5, "grin": 1.2,
-    "laugh": 0.6, "smirk": 0.5, "pensive": 0.7, "tired": 0.6, "concentrated": 0.6,
-    "speechless": 0.4, "doubtful": 0.4, "surprised": 0.25, "contempt": 0.2, "worried": 0.2,
-    "sad": 0.2, "angry": 0.15, "disgusted": 0.1, "afraid": 0.1, "pout": 0.1, "kiss": 0.1,
-    "grimace": 0.1, "puffed": 0.05, "wink": 0.1, "yawn": 0.05,
+    "neutral": 5.0, "soft_smile": 6.0, "smile": 2.6, "amused": 0.8, "attentive": 1.2, "grin": 0.8,
+    "laugh": 0.4, "smirk": 0.2, "pensive": 0.2, "tired": 0.3, "concentrated": 0.4,
+    "speechless": 0.15, "doubtful": 0.1, "surprised": 0.15, "contempt": 0.05, "worried": 0.1,
+    "sad": 0.1, "angry": 0.08, "disgusted": 0.05, "afraid": 0.05, "pout": 0.05, "kiss": 0.05,
+    "grimace": 0.05, "puffed": 0.03, "wink": 0.05, "yawn": 0.03,
 }  # fmt: skip
 """Weights of moods as people show them to a camera."""
 
@@ -168,9 +168,9 @@ def draw_mood(rng: np.random.Generator, weights: dict[str, float]) -> Actions:
         for name, flip in zip((first, second), sides, strict=True)
     )
     kind = rng.random()
-    if kind < 0.6:
+    if kind < 0.7:
         return dict(one)
-    if kind < 0.9:
+    if kind < 0.95:
         share = float(rng.uniform(0.2, 0.45))
         return blend((1.0 - share, one), (share, other))
     return blend((1.0, without_mouth(one)), (1.0, mouth_only(other)))

@@ -129,7 +129,7 @@ class PoseSettings(Settings):
     moods: Literal["everyday", "wide"] | dict[Mood, Annotated[float, Field(ge=0.0)]] = "everyday"
     """How often each mood is shown: "everyday" smiles softly and is seldom upset, "wide" moves
     every muscle, a table gives relative weights; moods that it leaves out do not occur."""
-    talking: float = Field(default=0.25, ge=0.0, le=1.0)
+    talking: float = Field(default=0.12, ge=0.0, le=1.0)
     """Probability of a mouth caught speaking."""
     closed_eyes: float = Field(default=0.03, ge=0.0, le=1.0)
     """Probability of a single pose caught in a blink."""

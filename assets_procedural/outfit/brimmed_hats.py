@@ -36,8 +36,8 @@ class _Brimmed:
 
 BRIMMED = {
     "bucket": _Brimmed(
-        ((1.0, 0), (1.0, 0.025), (0.98, 0.055), (0.92, 0.078), (0.84, 0.087), (0.5, 0.092),
-         (0, 0.093)),
+        ((1.0, 0), (0.97, 0.025), (0.93, 0.050), (0.86, 0.067), (0.74, 0.077), (0.45, 0.083),
+         (0, 0.085)),
         ((0, 0), (0.012, -0.008), (0.030, -0.026), (0.046, -0.043)), "twill", wavy=0.0015,
     ),
     "fedora": _Brimmed(
@@ -72,13 +72,13 @@ def brimmed(wearing: Hat, scalp: np.ndarray, edge: np.ndarray) -> list[MeshPiece
     ring = ring + (np.maximum(wide - spare, 0) + _CLEARANCE)[:, None] * out
 
     share, height = np.array(shape.crown).T
-    tall = max(1.0, float(scalp[:, 2].max() + 0.010 - middle[2]) / height[-1])
+    tall = max(1.0, float(scalp[:, 2].max() + 0.008 - middle[2]) / height[-1])
     steps = np.linspace(0, 1, 30)
     length = np.concatenate([[0], np.cumsum(np.hypot(np.diff(share) * 0.09, np.diff(height)))])
     share = PchipInterpolator(length / length[-1], share)(steps)
     height = PchipInterpolator(length / length[-1], height)(steps) * tall
     share[-1] = 0.012
-    level = smoothstep(0.0, 0.8, steps)[:, None] * (middle[2] - ring[:, 2]) * 0.4
+    level = (share * smoothstep(0.0, 0.8, steps))[:, None] * (middle[2] - ring[:, 2]) * 0.4
     crown = middle + share[:, None, None] * (ring - middle)
     crown[..., 2] = ring[:, 2] * share[:, None] + middle[2] * (1 - share[:, None])
     crown[..., 2] += height[:, None] + level

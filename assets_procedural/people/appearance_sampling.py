@@ -148,7 +148,8 @@ def draw_hair(
     thinning = np.clip((age - 35.0) / 60.0, 0.0, 1.0) * (0.55 if male else 0.3)
     receding, bare = _draw_loss(rng, age, male)
     side = float(rng.choice([-1.0, 1.0]))
-    parting = 0.0 if rng.random() < 0.3 else side * rng.uniform(0.3, 1.0)
+    # One in seven near the middle; the others are spread over the side.
+    aside = float(np.interp(rng.random(), [0.0, 0.14, 0.15, 1.0], [0.0, 0.1, 0.3, 1.0]))
     return Hair(
         style=style,
         colour=colour,
@@ -156,7 +157,7 @@ def draw_hair(
         redness=clipped(redness),
         grey=clipped(white if white > 0.03 else 0.0),
         length=clipped(rng.beta(2.0, 2.0)),
-        parting=round(float(parting), 4),
+        parting=round(side * aside, 4),
         curl=curl,
         density=clipped(rng.normal(0.82, 0.1) - thinning * rng.random()),
         receding=clipped(max(receding, STYLES[style].receding)),

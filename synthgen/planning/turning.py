@@ -21,10 +21,11 @@ def turned(subject: SubjectPlan, environments: Path) -> SubjectPlan:
     if not any(key is not None for key in subject.keys):
         return subject.model_copy(update={"keys": ()})
     views = [(camera.yaw, camera.pitch) for camera in subject.cameras]
+    facing = sum(pose.head[2] for pose in subject.poses) / len(subject.poses)
     uses = []
     for use, key in zip(subject.environments, subject.keys, strict=True):
         if key is not None:
-            angle = rotation(_survey(environments / f"{use.id}.exr"), key, views)
+            angle = rotation(_survey(environments / f"{use.id}.exr"), key, views, facing)
             use = use.model_copy(update={"rotation": round(angle, 6)})
         uses.append(use)
     return subject.model_copy(update={"environments": tuple(uses), "keys": ()})

@@ -12,6 +12,9 @@ _PHEOMELANIN = np.array([0.343, 0.733, 1.924])
 # White hair among its like scatters on: brighter fibres would make a glowing cloud of it.
 _WHITE = np.array([0.46, 0.45, 0.425])
 _BRIGHTEST = 0.72
+# What the core of a fibre scatters at once, whatever its pigment: black hair is no coal, and its
+# strands differ.
+_CORE = np.array([0.016, 0.0125, 0.0105])
 
 
 def strand_colours(piece: StrandPiece) -> np.ndarray:
@@ -38,6 +41,8 @@ def strand_colours(piece: StrandPiece) -> np.ndarray:
         + roughness * (2.532 + roughness * (-10.73 + roughness * (5.574 + 0.245 * roughness)))
     )
     colour = np.exp(-np.sqrt(sigma) * width)
+    core = _CORE / np.maximum(np.asarray(p.get("tone", 1.0), float), 0.25)[..., None, None]
+    colour = colour + (1 - colour) * core
     # Grey comes hair by hair, and a hair that greys is nearly white.
     grey = (np.clip((p["grey"] - chance) / 0.08 + 0.5, 0, 1) * (p["grey"] > 0))[:, None, None]
     white = _WHITE * (0.7 + 0.3 * _fraction(chance * 13.0))[:, None, None]
@@ -48,7 +53,7 @@ def strand_colours(piece: StrandPiece) -> np.ndarray:
         covered = np.clip((along - p["regrowth"][:, None]) / 0.08 + 0.5, 0, 1)[..., None]
         colour = colour + covered * (dye - colour)
     opaque = np.ones((*colour.shape[:2], 1))
-    return np.concatenate([np.clip(colour, 0.003, _BRIGHTEST), opaque], axis=2)
+    return np.concatenate([np.minimum(colour, _BRIGHTEST), opaque], axis=2)
 
 
 def _fraction(x: np.ndarray) -> np.ndarray:

@@ -23,7 +23,7 @@ def hair(roughness: float, part: int) -> bpy.types.Material:
     colour = graph.attribute("colour").outputs["Color"]
     surface = graph.node("BsdfHairPrincipled", {
         "Color": colour, "Roughness": roughness, "Radial Roughness": min(1.0, roughness + 0.15),
-        "IOR": 1.55, "Random Roughness": 0.1,
+        "IOR": 1.55, "Random Roughness": 0.4,
     }, parametrization="COLOR", model="CHIANG")  # fmt: skip
     graph.output(surface.outputs[0])
     write_labels(graph, surface.outputs[0], colour, float(part))

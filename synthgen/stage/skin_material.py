@@ -43,7 +43,7 @@ def skin(parameters: Skin) -> bpy.types.Material:
     # Blood in patches of centimetres, pigment at 5 to 15 mm, dark mouths of pores. Dark skin hides
     # its blood and is the more uneven in pigment.
     colour = graph.attribute("colour").outputs["Color"]
-    flush = graph.noise(place, 48, detail=4, rough=0.6)
+    flush = graph.noise(place, 48, detail=3, rough=0.5)
     blood = (1 - 0.5 * parameters.melanin) * HAEMOGLOBIN
     mottling = graph.scalar("mottling")
     colour = tinted(colour, mottling, flush, _tone(0.26 * blood), _tone(-0.38 * blood))

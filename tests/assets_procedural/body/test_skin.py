@@ -44,6 +44,13 @@ def test_haemoglobin_reddens(melanin):
     assert green > red
 
 
+def hue(colour: np.ndarray) -> float:
+    """The angle of a linear colour (3,) in CIELAB, degrees."""
+    xyz = np.array([[0.434, 0.376, 0.190], [0.213, 0.715, 0.072], [0.018, 0.109, 0.873]]) @ colour
+    x, y, z = np.cbrt(xyz)  # relative to white
+    return float(np.degrees(np.arctan2(200 * (y - z), 500 * (x - y))))
+
+
 def test_sampled_people_have_skin_colours(model):
     zone = fields(model)
     face = zone["forehead"] > 0.9
@@ -58,6 +65,7 @@ def test_sampled_people_have_skin_colours(model):
         assert 0.03 < colour[0] < 0.8, seed
         assert colour[0] > colour[1] > colour[2] > 0.01, seed
         assert 1.1 < colour[0] / colour[2] < 5, seed
+        assert 45 < hue(colour) < 68, seed  # as spectrophotometers find, neither pink nor yellow
         shades.append((person.skin.melanin, colour.mean()))
     melanin, brightness = np.array(shades).T
     assert np.corrcoef(melanin, brightness)[0, 1] < -0.85

@@ -103,3 +103,9 @@ def test_dye_begins_below_the_regrowth_and_old_hair_does_not_glow(identity):
 def test_fair_ends_are_lighter(identity):
     fair = strand_colours(grow(identity, "long_straight", melanin=0.4))[..., :3]
     assert np.median(fair[:, -1]) > 1.15 * np.median(fair[:, 0])
+
+
+def test_black_hair_is_no_coal_and_its_strands_differ(identity):
+    black = strand_colours(grow(identity, "long_straight", melanin=0.97))[:, 0, :3].mean(axis=1)
+    assert 0.006 < np.median(black) < 0.03
+    assert np.quantile(black, 0.9) > 1.8 * np.quantile(black, 0.1)

@@ -7,7 +7,11 @@ import math
 import numpy as np
 import pytest
 
-from assets_procedural.conventions.panorama import rotate_z, texel_directions
+from assets_procedural.conventions.panorama import (
+    rotate_z,
+    texel_directions,
+    texel_solid_angles,
+)
 from assets_procedural.light.key_light import rotation, sample_key, survey
 
 FRONT = [(0.0, 0.0)]
@@ -53,6 +57,33 @@ def test_a_glaring_background_sends_the_key_to_the_other_side():
 def test_keys_are_those_of_photographers():
     keys = np.degrees([sample_key(np.random.default_rng(i)) for i in range(2000)])
     side = np.abs(keys)
-    assert side.max() <= 105  # never from behind alone
+    assert side.max() <= 90  # never from behind
     assert 0.7 < ((side > 20) & (side < 60)).mean() < 0.8
     assert 0.45 < (keys > 0).mean() < 0.55
+
+
+def test_the_key_falls_on_a_face_that_is_turned_and_seen_from_aside():
+    found = survey(lamp(1.1))
+    for facing, yaw in ((0.5, 0.6), (-0.5, 0.3), (0.0, -0.7)):
+        angle = rotation(found, 0.7, [(yaw, 0.0)], facing)
+        azimuth = 1.1 + angle
+        assert abs(math.remainder(azimuth - 0.5 * (facing + yaw), 2 * math.pi)) < 0.75
+
+
+def test_a_face_is_not_left_in_its_own_shade():
+    # Between two lamps their mean direction says little: the brighter one is to light the face.
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        low, high = rng.uniform(0, 2 * math.pi, 2)
+        found = survey(lamp(low) + 0.6 * lamp(high))
+        side = rng.uniform(-0.6, 0.6)
+        angle = rotation(found, sample_key(rng), [(side, 0.0)], side)
+        assert upright(found.luminance, side - angle) > 0.4 * max(
+            upright(found.luminance, turn) for turn in np.linspace(0, 2 * math.pi, 32)
+        )
+
+
+def upright(luminance: np.ndarray, azimuth: float) -> float:
+    """The light on an upright surface that looks towards an azimuth."""
+    towards = texel_directions(32) @ np.array([math.sin(azimuth), -math.cos(azimuth), 0.0])
+    return float((luminance * texel_solid_angles(32)[:, None] * towards.clip(0)).sum())

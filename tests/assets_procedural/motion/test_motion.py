@@ -117,6 +117,20 @@ def test_everyday_faces_are_seldom_upset_and_wide_ones_often() -> None:
     assert np.mean(smiling) > 0.5
 
 
+def test_most_everyday_faces_are_nearly_even() -> None:
+    pairs = ("browDown", "browOuterUp", "mouthSmile", "mouthFrown", "mouthPress", "eyeSquint")
+    skew = [
+        max(
+            abs(p.expression.get(n + "Left", 0.0) - p.expression.get(n + "Right", 0.0))
+            for n in pairs
+        )
+        for p in poses(PoseSettings())
+    ]
+    assert np.mean(np.array(skew) < 0.12) > 0.85
+    speaking = [p.expression.get("jawOpen", 0.0) > 0.1 for p in poses(PoseSettings())]
+    assert np.mean(speaking) < 0.15
+
+
 def test_jobs_choose_moods() -> None:
     for pose in poses(PoseSettings(moods={"yawn": 1.0}, neutral=0, talking=0), 50):
         assert pose.expression["jawOpen"] > 0.15

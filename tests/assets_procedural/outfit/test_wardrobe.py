@@ -259,6 +259,19 @@ def test_hats_cover_the_scalp_and_nothing_else(model, style):
     assert hat[:, 2].max() > identity.rest[top, 2] + 0.004
 
 
+def test_a_bucket_hat_is_no_bucket(model):
+    """It tapers, stands no higher than hair and lining need, and is smooth on top."""
+    person = Person(hat=Hat(style="bucket"), phenotypes=MAN)
+    identity = model.identity(person)
+    crown = accessories(person, identity)[0].place(identity.neutral)
+    head = identity.rest[model.groups["skin"]]
+    assert crown[:, 2].max() < head[:, 2].max() + 0.012
+    assert np.ptp(crown[-96:, 2]) < 0.001
+    low, high = np.quantile(crown[:, 2], [0.05, 0.55])
+    width = [np.ptp(crown[np.abs(crown[:, 2] - z) < 0.006, 0]) for z in (low, high)]
+    assert width[1] < 0.86 * width[0]
+
+
 def test_a_headscarf_covers_hair_ears_and_neck_but_not_the_face(model):
     hat = Hat(style="headscarf")
     person = Person(hat=hat, phenotypes=WOMAN, hair=Hair(style="long_wavy"))

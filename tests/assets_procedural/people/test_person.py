@@ -247,6 +247,12 @@ def test_accessories_follow_their_probabilities(name: str) -> None:
     assert np.mean(worn) == 1.0
 
 
+def test_hair_is_seldom_parted_in_the_middle(crowd: list[Person]) -> None:
+    parting = np.array([person.hair.parting for person in crowd])
+    assert 0.05 < (np.abs(parting) < 0.2).mean() < 0.25
+    assert 0.35 < (parting > 0).mean() < 0.65 and np.abs(parting).max() <= 1
+
+
 def test_hair_styles_can_be_restricted_and_the_others_all_occur(crowd: list[Person]) -> None:
     assert {p.hair.style for p in crowd} == set(STYLES)
     assert {p.hair.style for p in people(60, hair_styles=["buzz", "bob"])} == {"buzz", "bob"}
