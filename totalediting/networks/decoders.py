@@ -1,15 +1,15 @@
 """Point-wise decoders: what a point of the volume is, from the tri-planes' features there.
 
 Symbols: B batch, N points, C = preset.plane_channels, L = `shown_channels`, h rows of a lightmap;
-t_geo features of the geometry's tri-plane (B, N, C), x where points are on the planes, i how far
-inside the skin, t_shd features of the shading's tri-plane, the skin's canonical normal
-(`relief.skin_normal`) and what the source shows (`shown.Shown`) (B, N, C + 3 + L). Vectors are unit
-and in model space (metres, Z up), posed unless called canonical: normal n, view v (from the point
-to the viewer), r = v reflected at n. Lightmaps have a frame of their own, into which `to_light`
-takes model space. Light, colour and shadings are linear Rec.709, or display-referred where
-`preset.colour` is "srgb".
+t_geo features of the geometry's tri-plane (B, N, C), i how far points are inside the skin, t_shd
+features of the shading's tri-plane, the skin's canonical normal (`relief.skin_normal`) and what the
+source shows (`shown.Shown`) (B, N, C + 3 + L). Vectors
+are unit and in model space (metres, Z up), posed unless called canonical: normal n, view v (from
+the point to the viewer), r = v reflected at n. Lightmaps have a frame of their own, into which
+`to_light` takes model space. Light, colour and shadings are linear Rec.709, or display-referred
+where `preset.colour` is "srgb".
 
-    sigma = D_geo([t_geo, i, x, shown])         n', a', w = D_f(t_shd)
+    sigma = D_geo([t_geo, i, shown])            n', a', w = D_f(t_shd)
     n^c = (n^skin + n') / |n^skin + n'|         a = sigmoid(logit(source) + a')
     k_d = D_d([t_shd, n])                       k_s(e) = D_s([t_shd, r])
     delta = D_delta(a, n, t_shd) . [s_d, s_s(e) ...]
@@ -62,8 +62,6 @@ CLEAR = 6.0
 """How much smaller it is where the source shows that nothing covers its background."""
 SKIN = 0.016
 """Thickness over which that rises, in places: 2 mm at the face, see `space`."""
-HAIR = 0.25
-"""How far from the skin hair and clothes can be told from nothing, in places: 3 cm at the face."""
 PACE = 6.0
 """Their learning rate relative to the rest; instant-NGP's for such networks is 1e-2."""
 LOBES_OF_TRANSFER = 3
@@ -109,9 +107,8 @@ class Shading(NamedTuple):
 
 
 class GeometryDecoder(nn.Module):
-    """D_geo: features (B, N, C), `relief.inside` (B, N), the place itself (B, N, 3) as of
-    `space.on_planes`, and what the source shows (B, N, L), to density sigma (B, N) in 1/metre,
-    positive.
+    """D_geo: features (B, N, C), `relief.inside` (B, N) and what the source shows (B, N, L) to
+    density sigma (B, N) in 1/metre, positive.
 
     What the source covers there tells hair and clothes from nothing (space carving, Kutulakos and
     Seitz 2000).
@@ -119,13 +116,12 @@ class GeometryDecoder(nn.Module):
 
     def __init__(self, preset: Preset) -> None:
         super().__init__()
-        self.net = _mlp(preset.plane_channels + 5 + shown_channels(preset), preset.hidden, 1)
+        self.net = _mlp(preset.plane_channels + 1 + shown_channels(preset), preset.hidden, 1)
         _start(self.net, [FRESH], 1.0)
 
-    def forward(self, features: Tensor, inside: Tensor, places: Tensor, seen: Tensor) -> Tensor:
+    def forward(self, features: Tensor, inside: Tensor, seen: Tensor) -> Tensor:
         skin = torch.sigmoid(inside / SKIN)
-        near = torch.stack([2 * skin - 1, torch.tanh(inside / HAIR)], -1)
-        known = torch.cat([features, near, places, seen], -1)
+        known = torch.cat([features, 2 * skin[..., None] - 1, seen], -1)
         covered = (1 + seen[..., COVERAGE]) / 2
         x = self.net(known)[..., 0] + FULL * skin - CLEAR * (1 - skin) * (1 - covered)
         return DENSITY_SCALE * functional.softplus(x - 1.0)

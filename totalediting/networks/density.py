@@ -24,7 +24,7 @@ JITTER = 2.4e-3
 box's side, as in EG3D."""
 
 
-Geometry = Callable[[Tensor, Tensor, Tensor, Tensor], Tensor]
+Geometry = Callable[[Tensor, Tensor, Tensor], Tensor]
 """A `GeometryDecoder`, or any other callable like it."""
 Looks = Callable[[Tensor], Tensor]
 """What the source shows of canonical points (B, N, 3): (B, N, L), see `shown.Shown`."""
@@ -49,7 +49,7 @@ def density(of: Volume, points: Tensor, seen: Tensor | None = None) -> Tensor:
         places = on_planes(points)
         seen = of.shown(points) if seen is None else seen
         features = volume.triplane(full(of.planes), places)
-        return of.geometry(features, inside(full(of.relief), places), places, seen)
+        return of.geometry(features, inside(full(of.relief), places), seen)
 
 
 def density_normals(of: Volume, points: Tensor) -> Tensor:

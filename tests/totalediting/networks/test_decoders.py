@@ -53,13 +53,12 @@ def features(seed: int = 0) -> Tensor:
     return torch.randn(B, N, TINY.plane_channels + 3 + SHOWN, generator=seeded(seed))
 
 
-def of_geometry(seed: int = 0) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """t_geo, how far points are inside the skin, where they are, and what the source shows."""
+def of_geometry(seed: int = 0) -> tuple[Tensor, Tensor, Tensor]:
+    """t_geo, how far points are inside the skin, and what the source shows."""
     generator = seeded(seed)
     inside = 0.02 * torch.randn(B, N, generator=generator)
     features = torch.randn(B, N, TINY.plane_channels, generator=generator)
-    places, seen = (2 * torch.rand(B, N, n, generator=generator) - 1 for n in (3, SHOWN))
-    return features, inside, places, seen
+    return features, inside, 2 * torch.rand(B, N, SHOWN, generator=generator) - 1
 
 
 def same(directions: Tensor) -> Tensor:
@@ -100,10 +99,10 @@ def test_density_is_positive_and_follows_the_last_layer() -> None:
     with torch.no_grad():
         last.weight.zero_()
         last.bias.fill_(41.0)
-    features, inside, places, seen = of_geometry()
+    features, inside, seen = of_geometry()
     skin, bare = torch.sigmoid(inside / decoders.SKIN), (1 - seen[..., COVERAGE]) / 2
     full = DENSITY_SCALE * (40.0 + decoders.FULL * skin - decoders.CLEAR * (1 - skin) * bare)
-    torch.testing.assert_close(decoder(features, inside, places, seen), full)
+    torch.testing.assert_close(decoder(features, inside, seen), full)
 
 
 def test_a_fresh_volume_is_the_skin_in_a_translucent_fog() -> None:
@@ -112,16 +111,12 @@ def test_a_fresh_volume_is_the_skin_in_a_translucent_fog() -> None:
     features = torch.randn(1, 4096, TINY.plane_channels)
     seen = 2 * torch.rand(1, 4096, SHOWN) - 1
     seen[..., COVERAGE] = 1
-    places = 2 * torch.rand(1, 4096, 3) - 1
-    outside, inside = (
-        decoder(features, torch.full((1, 4096), i), places, seen) for i in (-1.0, 1.0)
-    )
+    outside, inside = (decoder(features, torch.full((1, 4096), i), seen) for i in (-1.0, 1.0))
     seen[..., COVERAGE] = -1
-    bare = decoder(features, torch.full((1, 4096), -1.0), places, seen)
+    bare = decoder(features, torch.full((1, 4096), -1.0), seen)
     assert 1.0 - math.exp(-0.6 * bare.mean().item()) < 0.01, "none beside what the source covers"
     none = torch.zeros(1, 1, SHOWN)
-    nothing = torch.zeros(1, 1, TINY.plane_channels), torch.zeros(1, 1), torch.zeros(1, 1, 3), none
-    blank = decoder(*nothing).item()
+    blank = decoder(torch.zeros(1, 1, TINY.plane_channels), torch.zeros(1, 1), none).item()
     fog = decoders.FRESH + decoders.FULL / 2 - decoders.CLEAR / 4  # on the skin, half covered
     assert blank == pytest.approx(DENSITY_SCALE * math.log1p(math.exp(fog - 1.0)), rel=1e-5)
     assert 0.1 < 1.0 - math.exp(-0.6 * outside.mean().item()) < 0.8
@@ -287,9 +282,10 @@ def test_presets(preset: Preset) -> None:
     with torch.device("meta"):
         both = Decoders(preset)
         t = torch.zeros(1, 7, preset.plane_channels)
-        assert both.geometry(
-            t, t[..., 0], t[..., :3], torch.zeros(1, 7, shown_channels(preset))
-        ).shape == (1, 7)
+        assert both.geometry(t, t[..., 0], torch.zeros(1, 7, shown_channels(preset))).shape == (
+            1,
+            7,
+        )
     assert isinstance(both.shading, ShadingDecoder)
     plain = Decoders(replace(preset, decoder="plain"))
     assert isinstance(plain.shading, PlainDecoder)
