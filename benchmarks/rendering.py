@@ -87,7 +87,7 @@ def measure(index: int, resolution: int) -> dict[str, float]:
     oidn = denoiser("cpu", 1)
 
     def denoised(lights: int) -> shooting.Lit:
-        return shooting.denoised([noisy.light] * lights, noisy.surface, noisy.guides, oidn)
+        return shooting.denoised(list(noisy.light) * lights, noisy.surface, noisy.guides, oidn)
 
     denoised(1)  # reads the networks
     with timed("guides"):
@@ -134,7 +134,7 @@ def fidelity(index: int, resolution: int, reference: int) -> list[float]:
         scene.set_mode("beauty", samples)
         noisy = scene.shoot_beauty(seed, camera)
         oidn = denoiser("cpu", 1)
-        return shooting.denoised([noisy.light], noisy.surface, noisy.guides, oidn).light[0]
+        return shooting.denoised(list(noisy.light), noisy.surface, noisy.guides, oidn).light[0]
 
     truth = shoot(reference, 99)
     scene.set_mode("labels", 4)

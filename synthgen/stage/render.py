@@ -20,6 +20,7 @@ from assets_procedural.conventions.colour import srgb_encode, to_bytes
 from synthgen.dataset.passes import PASSES
 from synthgen.dataset.shot import RenderedSubject, Shot, describe
 from synthgen.planning.job import JobSpec, LensSettings
+from synthgen.planning.light_basis import basis_samples
 from synthgen.planning.plan import ShotPlan, SubjectPlan
 from synthgen.planning.turning import turned
 from synthgen.stage import photograph, scene
@@ -73,12 +74,7 @@ def render_subject(
                 for s in taken
             ]
             lit = shooting.shoot(
-                views,
-                subject.environments,
-                environments,
-                job.samples,
-                job.lens.f_number,
-                denoiser(device, threads),
+                views, subject.environments, environments, job, denoiser(device, threads)
             )
         scene.set_mode("labels", job.samples)
         for shot in taken:
@@ -148,6 +144,8 @@ def compose_shot(
     meta["exposures"] = factors
     if job.lens != LensSettings():
         meta["lens"] = job.lens.model_dump(mode="json", exclude_none=True)
+    if samples := basis_samples(job, len(subject.environments)):
+        meta["light_basis"] = {"samples": samples}
     geometry = control_geometry(bust)
     meta["joints"] = list(bust.bones)
     geometry["landmarks"] = points.astype(np.float32)

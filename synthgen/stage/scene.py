@@ -17,7 +17,7 @@ import numpy as np
 
 from assets_procedural.conventions.camera import SENSOR_MM, Camera
 from synthgen.dataset.passes import PASSES
-from synthgen.stage.layers import render_layers
+from synthgen.stage.layers import Weights, render_layers, render_sums
 from synthgen.stage.nodes import Graph
 
 Mode = Literal["beauty", "labels"]
@@ -35,10 +35,10 @@ normal are of one point of each pixel; `render.compose_shot` puts `Beauty`'s mea
 
 
 class Beauty(NamedTuple):
-    """A view in one light, with its noise, and what light does not change, of the same samples."""
+    """A view in light, with its noise, and what light does not change, of the same samples."""
 
     light: np.ndarray
-    """(H, W, 3) linear Rec.709, premultiplied."""
+    """(E, H, W, 3) linear Rec.709, premultiplied; E is 1 under a world."""
     surface: np.ndarray
     """(H, W, 7) albedo, linear, in [0, 1]; normal, camera space (OpenGL axes); both premultiplied
     by coverage, the last."""
@@ -169,15 +169,30 @@ def set_mode(mode: Mode, samples: int) -> None:
             clear.visible_camera = not labels
 
 
-def shoot_beauty(seed: int, camera: Camera) -> Beauty:
-    """Render the current view, which must be `camera`'s."""
+def set_part(rows: tuple[int, int] | None) -> None:
+    """Render only rows of the picture, from `rows[0]` to before `rows[1]`; None: all of it."""
+    render = bpy.context.scene.render
+    render.use_border = render.use_crop_to_border = rows is not None
+    if rows is not None:
+        # A quarter of a pixel more: Blender cuts off what is behind the point.
+        height = render.resolution_y
+        render.border_min_x, render.border_max_x = 0.0, 1.0
+        render.border_min_y = (height - rows[1] + 0.25) / height
+        render.border_max_y = (height - rows[0] + 0.25) / height
+
+
+def shoot_beauty(seed: int, camera: Camera, weights: Weights | None = None) -> Beauty:
+    """Render the current view, which must be `camera`'s.
+
+    By `weights`, light is added up from layers, see `layers.render_sums`.
+    """
     bpy.context.scene.cycles.seed = seed
-    layers = render_layers()
+    layers, sums = render_sums(weights or {})
     albedo = np.clip(layers["albedo"][..., :3], 0, 1)
     normal = layers["normal_world"][..., :3] @ camera.camera_to_world[:3, :3].astype(np.float32)
     coverage = np.clip(layers["Combined"][..., 3:], 0, 1)
     return Beauty(
-        layers["Combined"][..., :3],
+        sums if weights else layers["Combined"][None, ..., :3],
         np.concatenate([albedo, normal, coverage], axis=-1),
         np.concatenate([layers["Denoising Albedo"], layers["Denoising Normal"]], axis=-1),
     )

@@ -1,1 +1,1 @@
-"""The posed figure in light, environment by environment, and what takes the noise out."""
+"""The posed figure in light: environments one by one or all at once, and what denoises them."""

@@ -1,11 +1,14 @@
 """One pose under all lights of its subject: what depends on light, and what all lights share.
 
-Guides and coverage are means over the samples of all lights and are denoised once a shot; only
-colour is denoised light by light.
+Each environment has a pass of its own, or few passes serve them all (`basis_samples`). Guides and
+coverage are means over the samples of all lights and are denoised once a shot; only colour is
+denoised light by light.
 """
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -13,9 +16,16 @@ from typing import NamedTuple
 import numpy as np
 
 from assets_procedural.conventions.camera import Camera
+from synthgen.planning.job import JobSpec
+from synthgen.planning.light_basis import basis_samples, groups
 from synthgen.planning.plan import EnvironmentUse, ShotPlan
 from synthgen.stage import scene
 from synthgen.stage.light.denoising import Denoiser
+from synthgen.stage.light.dome import set_dome
+from synthgen.stage.light.patches import basis
+
+_PART = 1 << 17
+"""Pixels of a picture that are rendered at once: each takes 2.5 kB per copy of all lights."""
 
 
 class View(NamedTuple):
@@ -42,30 +52,51 @@ def shoot(
     views: Sequence[View],
     environments: Sequence[EnvironmentUse],
     folder: Path,
-    samples: int,
-    f_number: float | None,
+    job: JobSpec,
     denoiser: Denoiser,
 ) -> Mapping[str, Lit]:
-    """The posed figure under each environment in turn; by the keys of the shots.
+    """The posed figure under all environments; by the keys of the shots.
 
-    `folder` holds `<id>.exr`; `samples` are of every picture.
+    `folder` holds `<id>.exr`.
     """
-    scene.set_mode("beauty", samples)
-    light: dict[str, list[np.ndarray]] = {view.shot.key: [] for view in views}
-    shared: dict[str, np.ndarray] = {}
-    for use in environments:
-        scene.set_light(folder / f"{use.id}.exr", use.rotation)
+    taken: dict[str, list[scene.Beauty]] = {view.shot.key: [] for view in views}
+    samples = basis_samples(job, len(environments))
+    scene.set_mode("beauty", samples or job.samples)
+    for group in [[use] for use in environments] if samples is None else groups(environments):
+        if samples is None:
+            scene.set_light(folder / f"{group[0].id}.exr", group[0].rotation)
+            weights, parts = None, [None]
+        else:
+            lights = basis(group, folder)
+            names = set_dome(lights)
+            weights = dict(zip(names, lights.weights.swapaxes(0, 1), strict=True))
+            parts = _parts(job.resolution)
         for shot, camera, focus in views:
             scene.set_camera(camera)
-            scene.set_focus(f_number, focus)
-            beauty = scene.shoot_beauty((use.seed + shot.seed) % 2**31, camera)
-            light[shot.key].append(beauty.light)
-            both = np.concatenate([beauty.surface, beauty.guides], axis=-1) / len(environments)
-            shared[shot.key] = shared[shot.key] + both if shot.key in shared else both
-    return {
-        key: denoised(light.pop(key), both[..., :7], both[..., 7:], denoiser)
-        for key, both in shared.items()
-    }
+            scene.set_focus(job.lens.f_number, focus)
+            seed = (group[0].seed + shot.seed) % 2**31
+            pieces = []
+            for rows in parts:
+                scene.set_part(rows)
+                pieces.append(scene.shoot_beauty(seed, camera, weights))
+            planes = [np.concatenate(each, axis=-3) for each in zip(*pieces, strict=True)]
+            taken[shot.key].append(scene.Beauty(*planes))
+        scene.set_part(None)
+    return {view.shot.key: _lit(taken.pop(view.shot.key), denoiser) for view in views}
+
+
+def _parts(resolution: int) -> Sequence[tuple[int, int]]:
+    """Rows of a picture that are rendered together, so that all lights' layers fit in memory."""
+    count = math.ceil(resolution**2 / _PART)
+    edges = [round(i * resolution / count) for i in range(count + 1)]
+    return list(itertools.pairwise(edges))
+
+
+def _lit(seen: Sequence[scene.Beauty], denoiser: Denoiser) -> Lit:
+    light = [each for beauty in seen for each in beauty.light]
+    surface = np.mean([beauty.surface for beauty in seen], axis=0)
+    guides = np.mean([beauty.guides for beauty in seen], axis=0)
+    return denoised(light, surface, guides, denoiser)
 
 
 def denoised(
