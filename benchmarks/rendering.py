@@ -17,7 +17,7 @@ from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from multiprocessing import get_context
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import report
@@ -29,20 +29,23 @@ if TYPE_CHECKING:  # processes of their own load Blender
     from synthgen.planning.plan import SubjectPlan
     from synthgen.stage.build import Figure
 
-STEPS = ("build", "pose", "sync", "sample", "denoise", "labels", "develop", "write")
+STEPS = ("build", "pose", "sync", "sample", "denoise", "guides", "labels", "develop", "write")
 SAMPLES = (4, 8, 16, 32, 64)
 
 
 def measure(index: int, resolution: int) -> dict[str, float]:
-    """CPU seconds of each step for subject `index`; `sample` is for one sample of one frame."""
-    import bpy
+    """CPU seconds of each step for subject `index`; `sample` is for one sample of one frame.
 
+    `denoise` is for the colour of a frame, `guides` for what all lights of a shot share.
+    """
     from assets_procedural.body.head import HeadModel
     from assets_procedural.conventions.camera import resolve
     from synthgen.dataset.shards import encode
     from synthgen.stage import render, scene
     from synthgen.stage.build import pose_figure
     from synthgen.stage.geometry import frame_of_head
+    from synthgen.stage.light import shooting
+    from synthgen.stage.light.denoising import denoiser
 
     job, subject, folder = _subject(index, resolution)
     model = HeadModel.load()
@@ -70,25 +73,33 @@ def measure(index: int, resolution: int) -> dict[str, float]:
     scene.set_light(folder / f"{lights[0].id}.exr", lights[0].rotation)
     scene.shoot_beauty(0, camera)  # compiles kernels and uploads the scene
 
-    def frame(samples: int, denoise: bool, light: int) -> float:
+    def frame(samples: int, light: int) -> float:
         scene.set_mode("beauty", samples)
-        settings: Any = bpy.context.scene  # pyright: ignore[reportAttributeAccessIssue]
-        settings.cycles.use_denoising = denoise
         scene.set_light(folder / f"{lights[light].id}.exr", lights[light].rotation)
         with report.clock() as took:
-            scene.render_layers()
+            scene.shoot_beauty(0, camera)
         return took.cpu_seconds
 
     scene.release_scene()
     scene.hold_scene()  # so that the first frame builds the BVH, as that of every pose does
-    first, few, many = frame(2, False, 0), frame(2, False, 1), frame(10, False, 0)
+    first, few, many = frame(2, 0), frame(2, 1), frame(10, 0)
     seconds["pose"] += max(0.0, first - few)
     seconds["sample"] = (many - few) / 8
     seconds["sync"] = max(0.0, few - 2 * seconds["sample"])
-    seconds["denoise"] = max(0.0, frame(2, True, 1) - few)
 
     scene.set_mode("beauty", 8)
-    seen = [scene.shoot_beauty(1, camera)] * 2
+    noisy = scene.shoot_beauty(1, camera)
+    oidn = denoiser("cpu", 1)
+
+    def denoised(lights: int) -> shooting.Lit:
+        return shooting.denoised(list(noisy.light) * lights, noisy.surface, noisy.guides, oidn)
+
+    denoised(1)  # reads the networks
+    with timed("guides"):
+        denoised(0)
+    with timed("denoise"):
+        seen = denoised(2)
+    seconds["denoise"] = max(0.0, seconds["denoise"] - seconds["guides"]) / 2
     scene.set_mode("labels", 8)
     with timed("labels"):
         labels = scene.shoot_labels(camera)
@@ -108,6 +119,8 @@ def fidelity(index: int, resolution: int, reference: int) -> list[float]:
     from synthgen.stage import photograph, scene
     from synthgen.stage.build import pose_figure
     from synthgen.stage.geometry import frame_of_head
+    from synthgen.stage.light import shooting
+    from synthgen.stage.light.denoising import denoiser
 
     _, subject, folder = _subject(index, resolution)
     identity = HeadModel.load().identity(subject.person)
@@ -123,16 +136,18 @@ def fidelity(index: int, resolution: int, reference: int) -> list[float]:
 
     def shoot(samples: int, seed: int) -> np.ndarray:
         scene.set_mode("beauty", samples)
-        return scene.shoot_beauty(seed, camera).image
+        noisy = scene.shoot_beauty(seed, camera)
+        oidn = denoiser("cpu", 1)
+        return shooting.denoised(list(noisy.light), noisy.surface, noisy.guides, oidn).light[0]
 
     truth = shoot(reference, 99)
     scene.set_mode("labels", 4)
     labels = scene.shoot_labels(camera)
     exposure = photograph.face_exposure(truth, labels["albedo"], labels["parts"])
-    shown = display(exposure * truth[..., :3])
+    shown = display(exposure * truth)
     result = []
     for samples in SAMPLES:
-        error = display(exposure * shoot(samples, 7)[..., :3]) - shown
+        error = display(exposure * shoot(samples, 7)) - shown
         result.append(float(-10 * np.log10(np.mean(error**2))))
     return result
 
@@ -207,7 +222,7 @@ def costs(means: dict[int, dict[str, float]]) -> Iterator[list[str]]:
             rates = []
             for m in means.values():
                 frame = m["sync"] + samples * m["sample"] + m["denoise"]
-                shot = m["labels"] + m["develop"] + m["write"]
+                shot = m["guides"] + m["labels"] + m["develop"] + m["write"]
                 total = m["build"] + poses * m["pose"] + shots * (shot + lights * frame)
                 rates.append(f"{3600 * lights * shots / total:.0f}")
             yield [f"frames per core-hour, {name}, {samples} samples", *rates]

@@ -14,6 +14,7 @@ from synthgen import farm
 from synthgen.farm import DEFAULT_RENDERER
 
 if TYPE_CHECKING:
+    from synthgen.farm.state import Summary
     from synthgen.planning.plan import Plan
 
 app = typer.Typer(
@@ -205,6 +206,41 @@ def render(
         retry_failed=retry_failed,
         time_limit=time_limit,
     )
+    _report(summary, out, device, threads)
+
+
+@app.command()
+def extend(
+    out: Dataset,
+    job: Job,
+    workers: Annotated[int | None, typer.Option(min=1, help="As `render` has it.")] = None,
+    threads: Threads = 1,
+    device: Device = "cpu",
+    overrides: Overrides = None,
+    renderer: Renderer = DEFAULT_RENDERER,
+) -> None:
+    """Add to a complete dataset what a larger job has: more subjects, more subsets.
+
+    What is there is not rendered again. Only the version of the code that made it may do this.
+    """
+    from synthgen.farm import preflight
+    from synthgen.farm.local import extend_job
+    from synthgen.planning.job import load_job
+
+    spec = load_job(job, overrides or ())
+    _, environments = preflight.make_plan(spec, job)
+    preflight.check_device(device)
+    preflight.check_panoramas(environments, out, job)
+    if workers is None and device != "cpu":
+        workers = 1
+    summary = extend_job(
+        spec, out, workers=workers, threads=threads, device=device, renderer=renderer
+    )
+    _report(summary, out, device, threads)
+
+
+def _report(summary: Summary, out: Path, device: farm.Device, threads: int) -> None:
+    """Say what a run did; exits with 1 if subjects failed."""
     if summary.rendered:
         from synthgen.farm.recorded import remember_costs
 

@@ -1,9 +1,11 @@
 """How long rendering takes: the cost model, the store of what was measured, reference figures.
 
 The model is linear: a subject costs `subject_s`, each of its shots `shot_s` more, each frame (shot
-x environment) `frame_s` more; and in bytes likewise. `synthgen.farm.measure` finds the costs of one
-process that runs alone; many at once are each a little slower where they share caches.
-`synthgen.farm.recorded` reads them out of a dataset that was rendered.
+x environment) `frame_s` more; and in bytes likewise. Environments that share a pass (see
+`synthgen.planning.light_basis`) cost less, in one proportion for all machines.
+`synthgen.farm.measure` finds the costs of one process that runs alone; many at once are each a
+little slower where they share caches. `synthgen.farm.recorded` reads them out of a dataset that was
+rendered.
 """
 
 from __future__ import annotations
@@ -20,9 +22,12 @@ from typing import Any, Literal
 from assets_procedural.conventions.files import cache_folder, write_atomically
 from assets_procedural.settings import Parameters
 from synthgen.planning.job import JobSpec, SubsetSpec
+from synthgen.planning.light_basis import passes
 
 Kind = Literal["multiview", "video"]
 Source = Literal["named", "calibration", "rendered", "reference"]
+SAMPLING = 0.75
+"""The share of a frame that is sampling, roughly: the rest is denoising and setting up."""
 
 
 class Calibration(Parameters):
@@ -48,11 +53,11 @@ class Calibration(Parameters):
     def scaled(self, job: JobSpec, threads: int) -> Calibration:
         """This measurement carried over to another job's resolution and samples, and to threads.
 
-        Pixels scale shots and frames; samples scale three quarters of a frame, roughly the share
-        of sampling against denoising and setting up; threads of a CPU share the work of a frame.
+        Pixels scale shots and frames; samples scale the `SAMPLING` of a frame; threads of a CPU
+        share the work of a frame.
         """
         pixels = (job.resolution / self.resolution) ** 2
-        samples = 0.25 + 0.75 * job.samples / self.samples
+        samples = 1 - SAMPLING + SAMPLING * job.samples / self.samples
         speed = threads / self.threads if self.device == "cpu" else 1.0
         return self.model_copy(
             update={
@@ -66,13 +71,20 @@ class Calibration(Parameters):
             }
         )
 
-    def seconds(self, spec: SubsetSpec) -> float:
-        """Seconds that one process takes for one subject of a subset."""
-        return self.subject_s + spec.shots * (self.shot_s + spec.environments * self.frame_s)
+    def seconds(self, spec: SubsetSpec, job: JobSpec) -> float:
+        """Seconds that one process takes for one subject of a subset of `job`."""
+        lights = lights_paid(job, spec)
+        return self.subject_s + spec.shots * (self.shot_s + lights * self.frame_s)
 
     def bytes(self, spec: SubsetSpec) -> float:
         """Bytes on disk of one subject of a subset."""
         return spec.shots * (self.shot_bytes + spec.environments * self.frame_bytes)
+
+
+def lights_paid(job: JobSpec, spec: SubsetSpec) -> float:
+    """Environments of a shot as they cost: passes may serve several."""
+    sampled = passes(job, spec.environments)
+    return (1 - SAMPLING) * spec.environments + SAMPLING * sampled
 
 
 REFERENCE = Calibration(

@@ -89,7 +89,7 @@ def estimate(
                 shots=spec.subjects * spec.shots,
                 frames=spec.subjects * spec.shots * spec.environments,
                 bytes=spec.subjects * each,
-                hours=found.costs.seconds(spec) * spec.subjects / 3600,
+                hours=found.costs.seconds(spec, job) * spec.subjects / 3600,
                 found=found,
             )
         )

@@ -27,7 +27,7 @@ from synthgen.farm.commit import clean_shared
 from synthgen.farm.run import Run, Summary, disk_is_full
 from synthgen.farm.worker import Orders, is_disk_full
 from synthgen.planning.plan import Plan
-from synthgen.publish import publish
+from synthgen.publish import extending, publish
 
 if TYPE_CHECKING:
     from assets_procedural.light.pool import EnvironmentSpec
@@ -89,6 +89,28 @@ def render_job(
             if summary.complete and not ledger.failures(folder):
                 shutil.rmtree(folder.work, ignore_errors=True)
     return summary
+
+
+def extend_job(
+    job: JobSpec,
+    out: Place,
+    workers: int | None = None,
+    threads: int = 1,
+    device: Device = "cpu",
+    renderer: str = DEFAULT_RENDERER,
+) -> Summary:
+    """Render what a larger job has on top of a complete dataset, into that dataset.
+
+    More subjects in its subsets, or more subsets; all else must be as it was. Once begun, it is a
+    dataset of the larger job, which `render_job` finishes, too.
+
+    Raises what `extending.extend` and `render_job` do.
+    """
+    preflight.check_renderer(renderer)
+    specs = pool(job.environments, job.seed)
+    origins = [provenance(spec) for spec in specs]
+    extending.extend(out, Plan(job, [spec.id for spec in specs]), origins, renderer)
+    return render_job(job, out, workers, threads, device, renderer=renderer)
 
 
 def _write_panoramas(folder: DatasetFolder, specs: Sequence[EnvironmentSpec]) -> list[str]:

@@ -43,7 +43,8 @@ def recorded_costs(out: Place, device: str, threads: int) -> list[Calibration]:
             if spec.kind in found or name not in tables:
                 continue
             try:
-                figures = _figures(connection, name, spec)
+                lights = calibration.lights_paid(plan.job, spec)
+                figures = _figures(connection, name, spec, lights)
             except duckdb.Error as error:
                 reason = " ".join(str(error).split())[:200]
                 raise StorageError(f"{folder}: its manifest cannot be read: {reason}") from None
@@ -72,8 +73,13 @@ def remember_costs(out: Place, device: str, threads: int) -> None:
         calibration.save(recorded_costs(out, device, threads))
 
 
-def _figures(connection: Any, subset: str, spec: SubsetSpec) -> dict[str, float] | None:
-    """Means over the first shots of a subset; None if nobody noted what light took."""
+def _figures(
+    connection: Any, subset: str, spec: SubsetSpec, lights: float
+) -> dict[str, float] | None:
+    """Means over the first shots of a subset; None if nobody noted what light took.
+
+    `lights` are the passes of each, see `calibration.lights_paid`.
+    """
     described = connection.execute(f"DESCRIBE {quoted(subset)}").fetchall()
     costs = [name for name, *_ in described if name.startswith("cost_")]
     if _LIGHT not in costs:
@@ -84,7 +90,7 @@ def _figures(connection: Any, subset: str, spec: SubsetSpec) -> dict[str, float]
     pictures = "[m.size FOR m IN members IF m.name[:3] IN ('rgb', 'hdr')]"
     row = connection.execute(
         f"""
-        SELECT avg({_LIGHT}) / {spec.environments}, avg({shot}),
+        SELECT avg({_LIGHT}) / {lights}, avg({shot}),
                avg(greatest(cost_subject - {spec.shots} * ({rendering}), 0)),
                avg(size), avg(list_sum({pictures}))
         FROM (SELECT * FROM {quoted(subset)} LIMIT {_SHOTS})

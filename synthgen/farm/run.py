@@ -115,7 +115,12 @@ class Run(RunState):
         """Subjects still to render, in order; commits shards that need no rendering on the way."""
         reopened = False
         for shard in self.shards:
-            if ledger.shard_record(self.folder, shard.name) is not None:
+            record = ledger.shard_record(self.folder, shard.name)
+            if record is not None and publish.lacks_subjects(record, shard):
+                with ledger.shared_files_lock(self.folder):
+                    publish.reopen(self.folder)
+                unpack_shard(self.folder, shard, record)
+            elif record is not None:
                 self._tidy(shard)
                 continue
             left = set()

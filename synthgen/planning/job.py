@@ -193,6 +193,8 @@ class JobSpec(Settings):
     """Width and height of the pictures, pixels."""
     samples: int = Field(default=16, ge=2, le=16384)
     """Light samples per pixel, before denoising."""
+    light_basis: Literal["auto"] | bool = "auto"
+    """Whether one pass serves all environments of a shot: auto where that costs less."""
     shard_megabytes: int = Field(default=1000, ge=1, le=100_000)
     """A shard holds as many whole subjects as are expected to fit in this."""
     shard_subjects: int | None = Field(default=None, ge=1)

@@ -32,7 +32,7 @@ from synthgen.dataset.records import (
     read_description,
 )
 from synthgen.planning.job import JobSpec
-from synthgen.planning.plan import SPLITS, Plan, ShardPlan
+from synthgen.planning.plan import SPLITS, Plan, ShardPlan, subject_key
 from synthgen.publish import card, checksums, croissant, licences
 
 
@@ -72,21 +72,26 @@ def begin(out: Place, plan: Plan, environments: list[dict[str, Any]], renderer: 
             job=plan.job.model_dump(mode="json"),
             renderer=renderer,
             environments=environments,
-            plan={
-                name: PlannedSubset(
-                    kind=spec.kind,
-                    subjects=spec.subjects,
-                    shots_per_subject=spec.shots,
-                    frames_per_subject=spec.shots * spec.environments,
-                )
-                for name, spec in plan.job.subsets.items()
-            },
+            plan=planned(plan.job),
             code=code_version(),
             created=datetime.now(UTC).date().isoformat(),
             licences=licences.LICENCES,
         )
-        _write(DatasetFolder(out), info)
+        write_description(DatasetFolder(out), info)
     return info
+
+
+def planned(job: JobSpec) -> dict[str, PlannedSubset]:
+    """What a job asks of its subsets."""
+    return {
+        name: PlannedSubset(
+            kind=spec.kind,
+            subjects=spec.subjects,
+            shots_per_subject=spec.shots,
+            frames_per_subject=spec.shots * spec.environments,
+        )
+        for name, spec in job.subsets.items()
+    }
 
 
 def check(
@@ -190,11 +195,14 @@ def _differences(name: str, there: Any, here: Any) -> Iterator[str]:
 def stored_plan(out: Place) -> Plan:
     """The plan of a dataset from its dataset.json alone.
 
+    Jobs that say nothing of it were rendered without a light basis.
+
     Raises `StorageError` if the recorded job is not valid for this version.
     """
     info = read_description(out)
     try:
-        return Plan(JobSpec.model_validate(info.job), [e["id"] for e in info.environments])
+        job = JobSpec.model_validate({"light_basis": False} | info.job)
+        return Plan(job, [e["id"] for e in info.environments])
     except (KeyError, ValueError) as error:
         reason = " ".join(str(error).split())[:200]
         path = DatasetFolder(out).description
@@ -206,7 +214,7 @@ def record_panoramas(folder: DatasetFolder, hashes: dict[str, str]) -> None:
     info = read_description(folder)
     files = info.files | hashes
     if files != info.files:
-        _write(folder, info.model_copy(update={"files": files}))
+        write_description(folder, info.model_copy(update={"files": files}))
 
 
 # ---------------------------------------------------------------- complete
@@ -220,7 +228,7 @@ def reopen(folder: DatasetFolder) -> None:
     info = read_description(folder)
     if info.complete:
         check_code(folder, info)
-        _write(folder, info.model_copy(update={"complete": False}))
+        write_description(folder, info.model_copy(update={"complete": False}))
 
 
 def complete(out: Place) -> bool:
@@ -235,14 +243,14 @@ def complete(out: Place) -> bool:
     people: dict[str, set[str]] = {}  # who is there, by the subset that they come from
     for subset in plan.job.subsets:
         tally = {split: {"subjects": 0, "shots": 0, "frames": 0} for split in SPLITS}
-        for planned in plan.shards(subset):
-            record = ledger.shard_record(folder, planned.name)
-            if record is None:
+        for shard in plan.shards(subset):
+            record = ledger.shard_record(folder, shard.name)
+            if record is None or lacks_subjects(record, shard):
                 return False
-            hashes |= _hashes(folder, planned, record)
-            tally[planned.split]["subjects"] += len(record.subjects)
-            tally[planned.split]["shots"] += record.shots
-            tally[planned.split]["frames"] += record.frames
+            hashes |= _hashes(folder, shard, record)
+            tally[shard.split]["subjects"] += len(record.subjects)
+            tally[shard.split]["shots"] += record.shots
+            tally[shard.split]["frames"] += record.frames
             people.setdefault(plan.people_of(subset), set()).update(record.subjects)
             if record.subjects:
                 shards.append(ShardSeal(tar=record.tar, bytes=record.bytes, sha256=record.sha256))
@@ -284,6 +292,12 @@ def complete(out: Place) -> bool:
     return True
 
 
+def lacks_subjects(record: ShardRecord, shard: ShardPlan) -> bool:
+    """Whether a shard was committed before subjects came on top that belong into it."""
+    there = {*record.subjects, *record.failed}
+    return any(subject_key(index) not in there for index in shard.subjects)
+
+
 def _hashes(folder: DatasetFolder, shard: ShardPlan, record: ShardRecord) -> dict[str, str]:
     """Path -> sha256 of all that a committed shard consists of, as it was when it was stored."""
     files = folder.shard(shard.name)
@@ -302,7 +316,8 @@ def _hashes(folder: DatasetFolder, shard: ShardPlan, record: ShardRecord) -> dic
     return found
 
 
-def _write(folder: DatasetFolder, info: Description) -> None:
+def write_description(folder: DatasetFolder, info: Description) -> None:
+    """Write dataset.json."""
     write_atomically(folder.description, _pretty(info.to_json()))
 
 

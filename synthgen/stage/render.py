@@ -20,13 +20,14 @@ from assets_procedural.conventions.colour import srgb_encode, to_bytes
 from synthgen.dataset.passes import PASSES
 from synthgen.dataset.shot import RenderedSubject, Shot, describe
 from synthgen.planning.job import JobSpec, LensSettings
+from synthgen.planning.light_basis import basis_samples
 from synthgen.planning.plan import ShotPlan, SubjectPlan
 from synthgen.planning.turning import turned
 from synthgen.stage import photograph, scene
 from synthgen.stage.build import build_figure, pose_figure, strands_for_pixel
 from synthgen.stage.geometry import canonical_mesh, control_geometry, frame_of_head, visible
-
-_Beauty = dict[str, list[scene.Beauty]]
+from synthgen.stage.light import shooting
+from synthgen.stage.light.denoising import denoiser
 
 
 def render_subject(
@@ -68,8 +69,13 @@ def render_subject(
             }
         with clock("beauty"):
             pupils = landmarks(bust)[list(PUPILS.values())]
-            focus = {key: float(c.project(pupils)[1].mean()) for key, c in cameras.items()}
-            linear = _beauty(subject, job, environments, taken, cameras, focus)
+            views = [
+                shooting.View(s, c := cameras[s.key], float(c.project(pupils)[1].mean()))
+                for s in taken
+            ]
+            lit = shooting.shoot(
+                views, subject.environments, environments, job, denoiser(device, threads)
+            )
         scene.set_mode("labels", job.samples)
         for shot in taken:
             camera = cameras[shot.key]
@@ -78,7 +84,7 @@ def render_subject(
                 labels = scene.shoot_labels(camera)
             with clock("develop"):
                 shots[shot.key] = compose_shot(
-                    subject, shot, job, environments, camera, bust, linear[shot.key], labels
+                    subject, shot, job, environments, camera, bust, lit[shot.key], labels
                 )
         scene.release_scene()
     share = {name: seconds / len(subject.shots) for name, seconds in clock.seconds.items()}
@@ -91,26 +97,6 @@ def render_subject(
     )
 
 
-def _beauty(
-    subject: SubjectPlan,
-    job: JobSpec,
-    environments: Path,
-    taken: list[ShotPlan],
-    cameras: dict[str, Camera],
-    focus: dict[str, float],
-) -> _Beauty:
-    scene.set_mode("beauty", job.samples)
-    images: _Beauty = {shot.key: [] for shot in taken}
-    for use in subject.environments:
-        scene.set_light(environments / f"{use.id}.exr", use.rotation)
-        for shot in taken:
-            scene.set_camera(cameras[shot.key])
-            scene.set_focus(job.lens.f_number, focus[shot.key])
-            seed = (use.seed + shot.seed) % 2**31
-            images[shot.key].append(scene.shoot_beauty(seed, cameras[shot.key]))
-    return images
-
-
 def compose_shot(
     subject: SubjectPlan,
     plan: ShotPlan,
@@ -118,22 +104,14 @@ def compose_shot(
     environments: Path,
     camera: Camera,
     bust: Bust,
-    seen: list[scene.Beauty],
+    seen: shooting.Lit,
     labels: scene.Labels,
 ) -> Shot:
-    """Develop the pictures of one shot and gather its labels, geometry and metadata.
-
-    `seen` holds a beauty render per environment of the subject.
-    """
-    # What light does not change is one for all lights, and more samples smooth it.
-    linear = [each.image for each in seen]
-    alpha = photograph.matte(np.mean([image[..., 3] for image in linear], axis=0))
-    alpha = to_bytes(alpha).astype(np.float32) / 255
-    for image in linear:
-        image[..., 3] = alpha
-    planes = [np.concatenate([b.albedo, b.normal, b.coverage], axis=-1) for b in seen]
-    surface = np.mean(planes, axis=0)
-    surface = photograph.mean_surface(surface[..., :-1], surface[..., -1:]) * alpha[..., None]
+    """Develop the pictures of one shot and gather its labels, geometry and metadata."""
+    alpha = to_bytes(photograph.matte(seen.coverage)).astype(np.float32) / 255
+    linear = [np.concatenate([light, alpha[..., None]], axis=-1) for light in seen.light]
+    surface = photograph.mean_surface(seen.surface[..., :6], seen.surface[..., 6:])
+    surface = surface * alpha[..., None]
     labels = labels | {"albedo": surface[..., :3], "normal": surface[..., 3:]}
     colour = job.image.background_colour
     distance = float(np.linalg.norm(frame_of_head(bust)[0] - camera.position))
@@ -166,6 +144,8 @@ def compose_shot(
     meta["exposures"] = factors
     if job.lens != LensSettings():
         meta["lens"] = job.lens.model_dump(mode="json", exclude_none=True)
+    if samples := basis_samples(job, len(subject.environments)):
+        meta["light_basis"] = {"samples": samples}
     geometry = control_geometry(bust)
     meta["joints"] = list(bust.bones)
     geometry["landmarks"] = points.astype(np.float32)

@@ -3,22 +3,21 @@
 The label render sees the same geometry through pixel centres (a pixel filter 0.01 wide, one
 sample, no bounces, no denoising) with thin clear surfaces hidden, so ids are exact. What is to be a
 mean over the pixel, albedo and normals, comes with the beauty render, whose samples are there
-anyway; thin clear surfaces write neither. Both are written to a scratch EXR and come back as
-arrays, row 0 at the top.
+anyway; thin clear surfaces write neither. Beauty comes with its noise, which `light` takes out.
+Row 0 of all arrays is at the top.
 """
 
 from __future__ import annotations
 
-import tempfile
 from pathlib import Path
 from typing import Literal, NamedTuple
 
 import bpy
 import numpy as np
-import OpenEXR
 
 from assets_procedural.conventions.camera import SENSOR_MM, Camera
 from synthgen.dataset.passes import PASSES
+from synthgen.stage.layers import Weights, render_layers, render_sums
 from synthgen.stage.nodes import Graph
 
 Mode = Literal["beauty", "labels"]
@@ -36,16 +35,15 @@ normal are of one point of each pixel; `render.compose_shot` puts `Beauty`'s mea
 
 
 class Beauty(NamedTuple):
-    """A view in one light, and the means of its surfaces over the same samples of each pixel."""
+    """A view in light, with its noise, and what light does not change, of the same samples."""
 
-    image: np.ndarray
-    """(H, W, 4) linear Rec.709, premultiplied, denoised, finite in half."""
-    albedo: np.ndarray
-    """(H, W, 3) linear, in [0, 1], premultiplied by `coverage`."""
-    normal: np.ndarray
-    """(H, W, 3) camera space (OpenGL axes), premultiplied by `coverage`."""
-    coverage: np.ndarray
-    """(H, W, 1) as it was sampled."""
+    light: np.ndarray
+    """(E, H, W, 3) linear Rec.709, premultiplied; E is 1 under a world."""
+    surface: np.ndarray
+    """(H, W, 7) albedo, linear, in [0, 1]; normal, camera space (OpenGL axes); both premultiplied
+    by coverage, the last."""
+    guides: np.ndarray
+    """(H, W, 6) albedo and normal as the denoiser wants them: of what mirrors and lenses show."""
 
 
 def open_stage(resolution: int, samples: int, device: str = "cpu", threads: int = 0) -> None:
@@ -75,48 +73,19 @@ def open_stage(resolution: int, samples: int, device: str = "cpu", threads: int 
     cycles.device = choose_device(device)
     cycles.samples = samples
     cycles.use_adaptive_sampling = False
-    cycles.use_denoising = True
-    cycles.denoiser = "OPENIMAGEDENOISE"
-    cycles.denoising_input_passes = "RGB_ALBEDO_NORMAL"
-    cycles.denoising_prefilter = "ACCURATE"
-    cycles.denoising_quality = "HIGH"
+    cycles.use_denoising = False  # see `light.denoising`
     cycles.pixel_filter_type = "BLACKMAN_HARRIS"
     cycles.max_bounces = 6
     cycles.caustics_reflective = cycles.caustics_refractive = False
 
     layer = bpy.context.view_layer
     layer.use_pass_z = True
+    layer.cycles.denoising_store_passes = True
     for each in PASSES:
         if each.layer and each.layer != _DEPTH_LAYER:  # which Blender brings along
             aov = layer.aovs.add()
             aov.name = each.layer
             aov.type = "VALUE" if len(each.components) == 1 else "COLOR"
-
-    _denoise_gaps(scene)
-    image = render.image_settings
-    image.file_format = "OPEN_EXR_MULTILAYER"
-    image.color_depth = "32"
-    image.exr_codec = "NONE"
-
-
-def _denoise_gaps(scene: bpy.types.Scene) -> None:
-    """Composite 1 - alpha, denoised: Cycles denoises colour alone, and strands leave it grainy.
-
-    The denoiser errs towards nothing in the dark. So it is given what shines through and not what
-    covers: coverage then lacks no speck inside hair, and its edge is not hard and too wide.
-    """
-    scene.use_nodes = True
-    nodes, links = scene.node_tree.nodes, scene.node_tree.links
-    nodes.clear()
-    layer = nodes.new("CompositorNodeRLayers")
-    gaps = nodes.new("CompositorNodeMath")
-    gaps.operation = "SUBTRACT"
-    gaps.inputs[0].default_value = 1.0
-    denoise = nodes.new("CompositorNodeDenoise")
-    result = nodes.new("CompositorNodeComposite")
-    links.new(layer.outputs["Alpha"], gaps.inputs[1])
-    links.new(gaps.outputs[0], denoise.inputs["Image"])
-    links.new(denoise.outputs["Image"], result.inputs["Image"])
 
 
 def choose_device(device: str) -> Literal["CPU", "GPU"]:
@@ -190,8 +159,6 @@ def set_mode(mode: Mode, samples: int) -> None:
     scene = bpy.context.scene
     labels = mode == "labels"
     scene.cycles.samples = 1 if labels else samples
-    scene.cycles.use_denoising = not labels
-    scene.render.use_compositing = not labels
     scene.cycles.filter_width = 0.01 if labels else 1.5
     scene.cycles.max_bounces = 0 if labels else 6
     if labels:
@@ -202,15 +169,33 @@ def set_mode(mode: Mode, samples: int) -> None:
             clear.visible_camera = not labels
 
 
-def shoot_beauty(seed: int, camera: Camera) -> Beauty:
-    """Render the current view, which must be `camera`'s."""
+def set_part(rows: tuple[int, int] | None) -> None:
+    """Render only rows of the picture, from `rows[0]` to before `rows[1]`; None: all of it."""
+    render = bpy.context.scene.render
+    render.use_border = render.use_crop_to_border = rows is not None
+    if rows is not None:
+        # A quarter of a pixel more: Blender cuts off what is behind the point.
+        height = render.resolution_y
+        render.border_min_x, render.border_max_x = 0.0, 1.0
+        render.border_min_y = (height - rows[1] + 0.25) / height
+        render.border_max_y = (height - rows[0] + 0.25) / height
+
+
+def shoot_beauty(seed: int, camera: Camera, weights: Weights | None = None) -> Beauty:
+    """Render the current view, which must be `camera`'s.
+
+    By `weights`, light is added up from layers, see `layers.render_sums`.
+    """
     bpy.context.scene.cycles.seed = seed
-    layers = render_layers()
-    image = np.clip(np.nan_to_num(layers["Combined"]), 0, 65000)
-    coverage = np.clip(image[..., 3:], 0, 1)
-    image[..., 3] = 1 - np.clip(layers["Composite"][..., 0], 0, 1)
-    normal = layers["normal_world"][..., :3] @ camera.camera_to_world[:3, :3]
-    return Beauty(image, np.clip(layers["albedo"][..., :3], 0, 1), normal, coverage)
+    layers, sums = render_sums(weights or {})
+    albedo = np.clip(layers["albedo"][..., :3], 0, 1)
+    normal = layers["normal_world"][..., :3] @ camera.camera_to_world[:3, :3].astype(np.float32)
+    coverage = np.clip(layers["Combined"][..., 3:], 0, 1)
+    return Beauty(
+        sums if weights else layers["Combined"][None, ..., :3],
+        np.concatenate([albedo, normal, coverage], axis=-1),
+        np.concatenate([layers["Denoising Albedo"], layers["Denoising Normal"]], axis=-1),
+    )
 
 
 def shoot_labels(camera: Camera) -> Labels:
@@ -232,24 +217,3 @@ def shoot_labels(camera: Camera) -> Labels:
         name: np.where(seen[..., None] if image.ndim == 3 else seen, image, 0)
         for name, image in labels.items()
     }
-
-
-def render_layers() -> dict[str, np.ndarray]:
-    """Render once and return every layer by name: (H, W) or (H, W, C) float32."""
-    with tempfile.TemporaryDirectory(prefix="stage-") as folder:
-        path = Path(folder) / "layers.exr"
-        bpy.context.scene.render.filepath = str(path)
-        bpy.ops.render.render(write_still=True)
-        with OpenEXR.File(str(path), separate_channels=True) as file:
-            channels = {name: c.pixels for name, c in file.channels().items()}
-    layers: dict[str, np.ndarray] = {}
-    groups: dict[str, dict[str, np.ndarray]] = {}
-    for name, pixels in channels.items():
-        layer, group, component = name.split(".")
-        group = layer if layer == "Composite" else group
-        groups.setdefault(group, {})[component] = pixels
-    for group, components in groups.items():
-        order = "RGBA" if "R" in components else "XYZV"
-        planes = [components[c] for c in order if c in components]
-        layers[group] = planes[0] if len(planes) == 1 else np.stack(planes, axis=-1)
-    return layers

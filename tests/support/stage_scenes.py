@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -46,6 +47,19 @@ def write_gradient(folder: Path, name: str, tint: tuple[float, float, float]) ->
     panorama_files.write(folder / f"{name}.exr", (light * tint).astype(np.float32), {})
 
 
+SUN = np.array([0.5, -0.7, 0.6]) / np.linalg.norm([0.5, -0.7, 0.6])
+
+
+def write_skies(folder: Path) -> None:
+    """A soft sky, and one of other units with a sun at `SUN`: "soft" and "sunny"."""
+    direction = panorama.texel_directions(128)
+    soft = (2 + direction[..., 2:] + 0.5 * direction[..., :1]) * np.array([1.0, 0.8, 0.5])
+    sunny = 100 * soft
+    sunny[direction @ SUN > np.cos(0.03)] = 3e5 * np.array([1.0, 0.9, 0.7])
+    for name, light in (("soft", soft), ("sunny", sunny)):
+        panorama_files.write(folder / f"{name}.exr", light.astype(np.float32), {})
+
+
 def ball_under_a_spot(folder: Path, direction: np.ndarray, rotation: float) -> np.ndarray:
     """Where (3,), world, the light on a white ball comes from: one texel at `direction`, turned."""
     from synthgen.stage import scene
@@ -62,7 +76,7 @@ def ball_under_a_spot(folder: Path, direction: np.ndarray, rotation: float) -> n
     scene.set_camera(camera)
     scene.set_mode("beauty", 16)
     scene.set_light(folder / "spot.exr", rotation)
-    light = scene.shoot_beauty(0, camera).image[..., :3].sum(axis=-1)
+    light = scene.shoot_beauty(0, camera).light[0].sum(axis=-1)
     pixels = camera.pixel_centres()
     offset = camera.unproject(pixels, np.full(pixels.shape[:2], -camera.position[1]))
     side = np.clip(0.01 - (offset**2).sum(axis=-1), 0, None)
@@ -161,7 +175,6 @@ def _shoot_ball(samples: int) -> np.ndarray:
     viewer.data.ortho_scale = 0.2
     scene.set_mode("beauty", samples)
     settings = bpy.context.scene
-    settings.cycles.use_denoising = False
     settings.cycles.filter_width = 0.01
     return scene.render_layers()["Combined"][..., :3]
 
@@ -202,8 +215,8 @@ def bare_head(folder: Path) -> dict[str, np.ndarray]:
         "intrinsics": camera.intrinsics,
         "depth": labels["depth"],
         "normal": labels["normal"],
-        "mean_normal": mean.normal,
-        "coverage": mean.image[..., 3],
+        "mean_normal": mean.surface[..., 3:6],
+        "coverage": mean.surface[..., 6],
     }
 
 
@@ -231,8 +244,6 @@ def furnace() -> dict[str, np.ndarray]:
     eyes = landmarks(identity.neutral)[36:48].mean(axis=0)
     scene.set_camera(resolve(CameraSample(fill=2.0), eyes, 0.2, SIZE))
     scene.set_mode("beauty", 64)
-    bpy.context.scene.cycles.use_denoising = False
-    bpy.context.scene.render.use_compositing = False
     images = {}
     for name, shown in {"bare": (), "eyes": ("cornea", "tear"), "glasses": ("lens",)}.items():
         for piece, object_ in figure.pieces:
@@ -263,3 +274,93 @@ def dressed(folder: Path, light: str) -> list:
     use = plan.environments[0].model_copy(update={"id": light})
     plan = plan.model_copy(update={"environments": (use,)})
     return render_subject(plan, job(), folder, "cpu", 1).shots
+
+
+def denoisings() -> dict[str, np.ndarray]:
+    """What the denoiser makes of noise: "light" with one thread and with "two", "coverage"."""
+    from synthgen.stage.light.denoising import Denoiser
+
+    rng = np.random.default_rng(0)
+    noisy = rng.exponential(size=(SIZE, SIZE, 3)).astype(np.float32)
+    noisy[3, 5] = np.nan
+    flat = np.full_like(noisy, 0.5)
+    covered = (rng.random((SIZE, SIZE)) < 0.7).astype(np.float32)
+    one, two = Denoiser("cpu", 1), Denoiser("cpu", 2)
+    return {
+        "light": one.light(noisy, flat, flat),
+        "two": two.light(noisy, flat, flat),
+        "coverage": one.coverage(covered),
+        "whole": one.coverage(np.ones_like(covered)),
+    }
+
+
+def denoised_with_shared_guides(lights: int) -> list[str]:
+    """What the denoiser is asked for in a shot under so many lights."""
+    from synthgen.stage.light import shooting
+    from synthgen.stage.light.denoising import Denoiser
+
+    asked: list[str] = []
+
+    class Counting(Denoiser):
+        def __init__(self) -> None:
+            pass
+
+        def _run(self, images: dict[str, np.ndarray], *flags: str) -> np.ndarray:
+            asked.append("+".join(images))
+            return np.zeros((SIZE, SIZE, 3), np.float32)
+
+    planes = np.zeros((SIZE, SIZE, 7), np.float32)
+    shooting.denoised([planes[..., :3]] * lights, planes, planes[..., :6], Counting())
+    return asked
+
+
+def held_scene(folder: Path) -> dict[str, np.ndarray]:
+    """A ball, the scene held between renders: pictures by "seed_samples"."""
+    from synthgen.stage import scene
+
+    scene.open_stage(SIZE, 2, "cpu", 1)
+    graph = _add_ball(64)
+    graph.output(graph.node("BsdfDiffuse", {"Color": (0.8, 0.8, 0.8)}).outputs[0])
+    camera = resolve(CameraSample(fill=0.8, focal_mm=200), np.zeros(3), 0.2, SIZE)
+    scene.set_camera(camera)
+    scene.hold_scene()
+    scene.set_light(folder / "gradient.exr", 0.0)
+    images = {}
+    for seed, samples in ((1, 2), (2, 2), (1, 2), (2, 32)):
+        scene.set_mode("beauty", samples)
+        images.setdefault(f"{seed}_{samples}", []).append(scene.shoot_beauty(seed, camera).light)
+    return {name: np.stack(taken) for name, taken in images.items()}
+
+
+def ball_in_a_basis(folder: Path, resolution: int) -> dict[str, np.ndarray]:
+    """A ball under "soft" and "sunny", turned: (2, N, N, 3) each, linear, with noise.
+
+    "worlds" one by one, "basis" at once, "parts" likewise but in three parts.
+    """
+    from synthgen.stage import scene
+    from synthgen.stage.light.dome import set_dome
+    from synthgen.stage.light.patches import basis
+
+    uses = [
+        EnvironmentUse(id=name, rotation=rotation, exposure=0.0, seed=0)
+        for name, rotation in (("soft", 0.7), ("sunny", -1.9))
+    ]
+    scene.open_stage(resolution, 64, "cpu", 1)
+    graph = _add_ball(64)
+    graph.output(graph.node("BsdfDiffuse", {"Color": (0.8, 0.8, 0.8)}).outputs[0])
+    camera = resolve(CameraSample(fill=0.8, focal_mm=200), np.zeros(3), 0.2, resolution)
+    scene.set_camera(camera)
+    scene.set_mode("beauty", 64)
+    worlds = []
+    for use in uses:
+        scene.set_light(folder / f"{use.id}.exr", use.rotation)
+        worlds.append(scene.shoot_beauty(0, camera).light[0])
+    lights = basis(uses, folder)
+    weights = dict(zip(set_dome(lights), lights.weights.swapaxes(0, 1), strict=True))
+    whole = scene.shoot_beauty(0, camera, weights).light
+    parts = []
+    edges = [0, resolution // 3, resolution // 2 + 1, resolution]
+    for rows in itertools.pairwise(edges):
+        scene.set_part(rows)
+        parts.append(scene.shoot_beauty(0, camera, weights).light)
+    return {"worlds": np.stack(worlds), "basis": whole, "parts": np.concatenate(parts, axis=1)}

@@ -25,8 +25,9 @@ JOB = JobSpec.model_validate(
         "subsets": {
             "multiview": {"kind": "multiview", "subjects": 1, "environments": 2, "views": 2},
             "video": {"kind": "video", "subjects": 1, "environments": 1, "frames": 2},
+            "lights": {"kind": "multiview", "subjects": 1, "environments": 8, "views": 2},
         },
-        "environments": {"bundled": ["city"], "studios": 1},
+        "environments": {"bundled": ["city"], "studios": 7},
     }
 )
 
@@ -57,7 +58,7 @@ def test_manifests_agree_timing_columns_aside(datasets):
         ]
         for out in datasets
     )
-    assert len(first) == 4
+    assert len(first) == 6
     assert first == second
 
 
@@ -65,9 +66,17 @@ def test_the_dataset_keeps_every_promise(datasets):
     assert verify(datasets[0]) == []
 
 
-def test_a_shot_renders_again_from_its_provenance(datasets):
-    report = rerender(datasets[0], "video/s000000_p01")
+@pytest.mark.parametrize("key", ["video/s000000_p01", "lights/s000000_p01"])
+def test_a_shot_renders_again_from_its_provenance(datasets, key):
+    report = rerender(datasets[0], key)
     assert report.identical, str(report)
+
+
+def test_a_shot_says_whether_its_lights_share_a_pass(datasets):
+    alone = open_dataset(datasets[0], subset="multiview")[0].meta
+    together = open_dataset(datasets[0], subset="lights")[0].meta
+    assert "light_basis" not in alone
+    assert together["light_basis"] == {"samples": 15}
 
 
 def test_lights_change_the_picture_alone(datasets):
