@@ -31,34 +31,33 @@ TRAINING = 0.85  # of what is left: evaluation takes the rest
 HEADER = ["preset", "torch.compile", "batch", "s a step", "samples a s", "peak memory, MB"]
 
 
-def row(preset: str, compiled: bool, batch: int, found: Found) -> list[str]:
-    speed = [f"{found.step:.3f}", f"{batch / found.step:.1f}", f"{found.memory:,.0f}"]
-    return [preset, "yes" if compiled else "no", str(batch), *speed]
+def cells(found: Found | str, batch: int) -> list[str]:
+    """A step's cells of the table, or why there are none."""
+    if isinstance(found, str):
+        return [found, "", ""]
+    return [f"{found.step:.3f}", f"{batch / found.step:.1f}", f"{found.memory:,.0f}"]
 
 
-def speeds(data: Path, device: str, batch: int, until: float) -> tuple[list[list[str]], dict]:
+def speeds(
+    data: Path, device: str, batch: int, until: float
+) -> tuple[list[list[str]], dict[str, float]]:
     """Rows of the table, and the seconds of a plain step by preset, the largest last."""
     rows: list[list[str]] = []
     plain: dict[str, float] = {}
     for compiled in (False, True):
-        for preset in PRESETS:
+        for preset in PRESETS if not compiled else list(plain):
+            row = [preset, "yes" if compiled else "no", str(batch)]
             if time.monotonic() > until and plain:
-                rows.append(
-                    [preset, "yes" if compiled else "no", str(batch), "no time left", "", ""]
-                )
-                continue
-            if compiled and preset not in plain:
+                rows.append([*row, *cells("no time left", batch)])
                 continue
             print(f"measuring {preset}{', compiled' if compiled else ''} …", file=sys.stderr)
             try:
                 found = alone(STAGE, data, preset, batch, STEPS, device, compiled)
             except Exception as error:  # one preset that fails leaves the others
-                reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
-                rows.append([preset, "yes" if compiled else "no", str(batch), reason, "", ""])
-                continue
-            rows.append(row(preset, compiled, batch, found))
-            if not compiled:
+                found = (str(error).strip().splitlines() or [type(error).__name__])[0]
+            if isinstance(found, Found) and not compiled:
                 plain[preset] = found.step
+            rows.append([*row, *cells(found, batch)])
     return rows, plain
 
 
@@ -75,7 +74,7 @@ def benchmark(options: argparse.Namespace) -> None:
     report.table(HEADER, rows)
     options.out.mkdir(parents=True, exist_ok=True)
     lines = [machine(options.device), "", " | ".join(HEADER), " | ".join("---" for _ in HEADER)]
-    lines += [" | ".join(cells) for cells in rows]
+    lines += [" | ".join(row) for row in rows]
     (options.out / "accelerator.md").write_text("\n".join(lines) + "\n")
     if not plain:
         raise InputError(f"--batch: {batch}: no preset can be trained here; give fewer")

@@ -119,31 +119,32 @@ def main() -> None:
     trained_on = Path(checkpoints.read_config(arguments.run / "reconstruct")["data"])
     mean = mean_picture(trained_on, model)
     pairs = PortraitPairs(arguments.data, model.preset, arguments.split, relit=True)
-    across, again, within, left = Scores(), Scores(), Scores(), []
+    reenacted, reproduced, relighting, left_in_albedo = Scores(), Scores(), Scores(), []
     for batch in loader(pairs, AT_ONCE, stop=len(pairs)):
         truth, matte = batch.mot_image, batch.alpha
-        across.add("model", edit_of(model, batch, None).image, truth, matte)
+        reenacted.add("model", edit_of(model, batch, None).image, truth, matte)
         if plain is not None:
-            across.add("plain decoder", edit_of(plain, batch, None).image, truth, matte)
-        across.add("the source itself", batch.app.image, truth, matte)
-        across.add("the mean training picture", mean.expand_as(truth), truth, matte)
+            reenacted.add("plain decoder", edit_of(plain, batch, None).image, truth, matte)
+        reenacted.add("the source itself", batch.app.image, truth, matte)
+        reenacted.add("the mean training picture", mean.expand_as(truth), truth, matte)
 
         lit = relit(batch)
         truth = lit.mot_image
-        within.add("model, relit", edit_of(model, lit, None).image, truth, matte)
+        relighting.add("model, relit", edit_of(model, lit, None).image, truth, matte)
         still = edit_of(model, lit, None, batch.lightmaps)
         other = edit_of(model, from_other_light(lit, batch), None)
         first, second = (display(edit.rendering.albedo, 1) for edit in (still, other))
-        left.append(difference(first, second, matte) / difference(batch.mot_image, truth, matte))
-        again.add("model", still.image, batch.mot_image, matte)
-        within.add("model, in the source's light", still.image, truth, matte)
+        apart = difference(batch.mot_image, truth, matte)
+        left_in_albedo.append(difference(first, second, matte) / apart)
+        reproduced.add("model", still.image, batch.mot_image, matte)
+        relighting.add("model, in the source's light", still.image, truth, matte)
         if plain is not None:
-            within.add("plain decoder", edit_of(plain, lit, None).image, truth, matte)
-        within.add("the source itself", batch.mot_image, truth, matte)
-    across.show("self-reenactment")
-    again.show("reproduction")
-    within.show("relighting")
-    share = torch.cat(left)
+            relighting.add("plain decoder", edit_of(plain, lit, None).image, truth, matte)
+        relighting.add("the source itself", batch.mot_image, truth, matte)
+    reenacted.show("self-reenactment")
+    reproduced.show("reproduction")
+    relighting.show("relighting")
+    share = torch.cat(left_in_albedo)
     share = share[share.isfinite()].median().item()
     print(f"\nof the difference between two lights, left in the albedo: {share:.2f} (median)")
 

@@ -65,6 +65,15 @@ def small_dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
+def transparent_dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same people before nothing, display-referred alone. Do not change it."""
+    out = tmp_path_factory.mktemp("transparent") / "out"
+    job = fake_renderer.small_job(image={"linear": False, "background": "transparent"})
+    assert render_job(job, out, workers=1, renderer=fake_renderer.RENDERER).complete
+    return out
+
+
+@pytest.fixture(scope="session")
 def browse_dataset(small_dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """`small_dataset` with meshes, a hostile name and one shard that is cut short."""
     return page_driver.prepare(small_dataset, tmp_path_factory.mktemp("browse") / "dataset")

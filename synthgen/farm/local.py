@@ -69,8 +69,7 @@ def render_job(
     preflight.check_renderer(renderer)
     folder = DatasetFolder(out)
     workers = workers or max(1, calibration.cores() // threads)
-    specs = pool(job.environments, job.seed)
-    the_plan = Plan(job, [spec.id for spec in specs])
+    specs, the_plan = _planned(job)
     with _interruptible(), _telling_of_a_full_disk(folder):
         origins = [provenance(spec) for spec in specs]
         publish.check(folder, the_plan, origins, renderer)
@@ -107,10 +106,15 @@ def extend_job(
     Raises what `extending.extend` and `render_job` do.
     """
     preflight.check_renderer(renderer)
-    specs = pool(job.environments, job.seed)
-    origins = [provenance(spec) for spec in specs]
-    extending.extend(out, Plan(job, [spec.id for spec in specs]), origins, renderer)
+    specs, the_plan = _planned(job)
+    extending.extend(out, the_plan, [provenance(spec) for spec in specs], renderer)
     return render_job(job, out, workers, threads, device, renderer=renderer)
+
+
+def _planned(job: JobSpec) -> tuple[Sequence[EnvironmentSpec], Plan]:
+    """The panoramas of a job, and its plan."""
+    specs = pool(job.environments, job.seed)
+    return specs, Plan(job, [spec.id for spec in specs])
 
 
 def _write_panoramas(folder: DatasetFolder, specs: Sequence[EnvironmentSpec]) -> list[str]:

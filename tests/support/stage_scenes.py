@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from assets_procedural.conventions import panorama, panorama_files
-from assets_procedural.conventions.camera import CameraSample, resolve
+from assets_procedural.conventions.camera import Camera, CameraSample, resolve
 from assets_procedural.motion.poses import Pose
 from assets_procedural.person import Beard, Glasses, Hair, Person
 from synthgen.planning.job import JobSpec, SubsetSpec
@@ -69,12 +69,7 @@ def ball_under_a_spot(folder: Path, direction: np.ndarray, rotation: float) -> n
     sky[np.unravel_index(distance.argmax(), distance.shape)] = 5000.0
     panorama_files.write(folder / "spot.exr", sky, {})
 
-    scene.open_stage(SIZE, 16, "cpu", 1)
-    graph = _add_ball(64)
-    graph.output(graph.node("BsdfDiffuse", {"Color": (0.8, 0.8, 0.8)}).outputs[0])
-    camera = resolve(CameraSample(fill=0.8, focal_mm=200), np.zeros(3), 0.2, SIZE)
-    scene.set_camera(camera)
-    scene.set_mode("beauty", 16)
+    camera = _before_a_white_ball(SIZE, 16)
     scene.set_light(folder / "spot.exr", rotation)
     light = scene.shoot_beauty(0, camera).light[0].sum(axis=-1)
     pixels = camera.pixel_centres()
@@ -147,6 +142,19 @@ def phong_ball(light: Path, rotation: float, exponent: int, samples: int) -> np.
         total = graph.combine("ADD", total, texture.outputs["Color"])
     graph.output(graph.node("Emission", {"Color": total, "Strength": 1.0 / points}).outputs[0])
     return _shoot_ball(samples)
+
+
+def _before_a_white_ball(resolution: int, samples: int) -> Camera:
+    """A camera before a ball that fills the picture."""
+    from synthgen.stage import scene
+
+    scene.open_stage(resolution, samples, "cpu", 1)
+    graph = _add_ball(64)
+    graph.output(graph.node("BsdfDiffuse", {"Color": (0.8, 0.8, 0.8)}).outputs[0])
+    camera = resolve(CameraSample(fill=0.8, focal_mm=200), np.zeros(3), 0.2, resolution)
+    scene.set_camera(camera)
+    scene.set_mode("beauty", samples)
+    return camera
 
 
 def _add_ball(segments: int) -> Graph:
@@ -318,11 +326,7 @@ def held_scene(folder: Path) -> dict[str, np.ndarray]:
     """A ball, the scene held between renders: pictures by "seed_samples"."""
     from synthgen.stage import scene
 
-    scene.open_stage(SIZE, 2, "cpu", 1)
-    graph = _add_ball(64)
-    graph.output(graph.node("BsdfDiffuse", {"Color": (0.8, 0.8, 0.8)}).outputs[0])
-    camera = resolve(CameraSample(fill=0.8, focal_mm=200), np.zeros(3), 0.2, SIZE)
-    scene.set_camera(camera)
+    camera = _before_a_white_ball(SIZE, 2)
     scene.hold_scene()
     scene.set_light(folder / "gradient.exr", 0.0)
     images = {}
@@ -345,12 +349,7 @@ def ball_in_a_basis(folder: Path, resolution: int) -> dict[str, np.ndarray]:
         EnvironmentUse(id=name, rotation=rotation, exposure=0.0, seed=0)
         for name, rotation in (("soft", 0.7), ("sunny", -1.9))
     ]
-    scene.open_stage(resolution, 64, "cpu", 1)
-    graph = _add_ball(64)
-    graph.output(graph.node("BsdfDiffuse", {"Color": (0.8, 0.8, 0.8)}).outputs[0])
-    camera = resolve(CameraSample(fill=0.8, focal_mm=200), np.zeros(3), 0.2, resolution)
-    scene.set_camera(camera)
-    scene.set_mode("beauty", 64)
+    camera = _before_a_white_ball(resolution, 64)
     worlds = []
     for use in uses:
         scene.set_light(folder / f"{use.id}.exr", use.rotation)

@@ -29,8 +29,7 @@ from totalediting.presets import Preset
 ALPHA = 2.0
 AGREES = 0.006
 """Metres between a moved point and the depth that the source shows there: more is hidden."""
-SEEN = 0.98
-"""Coverage from which on a pixel is the subject's alone."""
+_ALONE = 0.98  # coverage from which on a pixel is the subject's alone
 _DARK = 0.02  # of shadings: what is in the dark says little
 _GAIN = 4.0  # most that light is changed by
 
@@ -41,7 +40,7 @@ class Warped(NamedTuple):
     image: Tensor
     """(B, 3, S, S) display-referred, over black."""
     seen: Tensor
-    """(B, 1, S, S) bool: the source shows that point itself."""
+    """(B, 1, S, S) bool: the subject's alone, and the source shows that point itself."""
 
 
 @torch.no_grad()
@@ -59,7 +58,7 @@ def warp(pair: PortraitPair) -> Warped:
         over_black = picture.mT.unflatten(-1, (side, side)) * pair.alpha[k]
         image[k] = display(over_black, 0)
         seen[k, 0].view(-1)[hit] = own
-    return Warped(image, seen)
+    return Warped(image, seen & (pair.alpha > _ALONE))
 
 
 def evaluate(data: Path, preset: Preset, split: str) -> dict[str, float]:
@@ -73,7 +72,7 @@ def evaluate(data: Path, preset: Preset, split: str) -> dict[str, float]:
     for number in range(len(pairs)):
         pair = collate([pairs[number]])
         made = warp(pair)
-        seen = made.seen.to(pair.alpha) * (pair.alpha > SEEN)
+        seen = made.seen.to(pair.alpha)
         source = pair.app.image
         values = {
             "seen_psnr": metrics.psnr_within(made.image, pair.foreground, seen),
@@ -129,7 +128,7 @@ def _source_colours(
     shown = look_up(pair.app_depth[one], places, "nearest")[..., 0]
     matte = look_up(app.alpha[one], places)[..., 0]
     inside = (places.abs() < 1).all(-1)
-    own = inside & (matte > SEEN) & ((shown - depth).abs() < AGREES)
+    own = inside & (matte > _ALONE) & ((shown - depth).abs() < AGREES)
     old = sample(app.lightmaps[one, 0], normal)[0]
     ratio = ((lit + _DARK) / (old + _DARK)).clamp(1 / _GAIN, _GAIN)
     return undisplay(look_up(app.image[one], places)[0]) * ratio, own[0]

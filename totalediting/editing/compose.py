@@ -59,9 +59,7 @@ class _Rows:
         self.subject, self.top, self.bottom = subject, top, bottom
         self.height, self.width = subject.picture.shape[:2]
         left, upper, edge = subject.square
-        # Pixels that lie in the square as wholes.
-        self.x = max(int(np.ceil(left)), 0), min(int(left + edge), self.width)
-        self.y = max(int(np.ceil(upper)), top), max(min(int(upper + edge), bottom), top)
+        self.x, self.y = _pixels_in(subject.square, self.width, top, bottom)
         x, y = np.arange(*self.x) + 0.5 - left, np.arange(*self.y) + 0.5 - upper
         rim = np.minimum.outer(np.minimum(y, edge - y), np.minimum(x, edge - x)) / edge
         self.share = self._laid(np.clip(rim / _RIM, 0, 1)[..., None])
@@ -80,13 +78,10 @@ class _Rows:
 
     def within(self, values: np.ndarray) -> np.ndarray:
         """(R, W, C) of (S, S[, C]), which is the square; 0 off it."""
-        left, upper, edge = self.subject.square
         (x0, x1), (y0, y1) = self.x, self.y
         if x1 <= x0 or y1 <= y0:
             return np.zeros((self.bottom - self.top, self.width, 1), np.float32)
-        scale = len(values) / edge
-        box = ((x0 - left) * scale, (y0 - upper) * scale, (x1 - left) * scale, (y1 - upper) * scale)
-        return self._laid(_resized(values, (x1 - x0, y1 - y0), box))
+        return self._laid(_part_of_square(values, self.subject.square, self.x, self.y))
 
     def mixed(self, whole: np.ndarray, within: np.ndarray) -> np.ndarray:
         """(R, W, C): one in the square, the other around it."""
@@ -139,19 +134,35 @@ def _whole_ratio(subject: Subject, ratio: np.ndarray) -> np.ndarray:
     high, wide = subject.picture.shape[:2]
     scale = min(1.0, _SOFT / max(high, wide))
     height, width = max(1, round(high * scale)), max(1, round(wide * scale))
-    scale = width / wide
-    left, top, edge = subject.square * scale
-    x0, x1 = max(int(np.ceil(left)), 0), min(int(left + edge), width)
-    y0, y1 = max(int(np.ceil(top)), 0), min(int(top + edge), height)
+    square = subject.square * (width / wide)
+    x, y = _pixels_in(square, width, 0, height)
     known, laid = np.zeros((height, width), bool), np.ones((height, width, 3))
-    if x1 <= x0 or y1 <= y0:
+    if x[1] <= x[0] or y[1] <= y[0]:
         return laid
-    step = len(ratio) / edge
-    box = ((x0 - left) * step, (y0 - top) * step, (x1 - left) * step, (y1 - top) * step)
-    laid[y0:y1, x0:x1] = _resized(ratio, (x1 - x0, y1 - y0), box)
-    known[y0:y1, x0:x1] = True
-    found = filled_in(laid, known)
-    return blurred(found, edge / 16)
+    inside = slice(*y), slice(*x)
+    laid[inside] = _part_of_square(ratio, square, x, y)
+    known[inside] = True
+    return blurred(filled_in(laid, known), square[2] / 16)
+
+
+def _pixels_in(
+    square: np.ndarray, width: int, top: int, bottom: int
+) -> tuple[tuple[int, int], tuple[int, int]]:
+    """Columns and rows, each from and to, of pixels that lie in a square (3,) as wholes, within
+    rows from `top` to `bottom`."""
+    left, upper, edge = square
+    columns = max(int(np.ceil(left)), 0), min(int(left + edge), width)
+    return columns, (max(int(np.ceil(upper)), top), max(min(int(upper + edge), bottom), top))
+
+
+def _part_of_square(
+    values: np.ndarray, square: np.ndarray, x: tuple[int, int], y: tuple[int, int]
+) -> np.ndarray:
+    """The columns `x` and rows `y` of a picture, out of (S, S[, C]), which is a square of it."""
+    scale = len(values) / square[2]
+    left, right = (float((column - square[0]) * scale) for column in x)
+    top, bottom = (float((row - square[1]) * scale) for row in y)
+    return _resized(values, (x[1] - x[0], y[1] - y[0]), (left, top, right, bottom))
 
 
 def _resized(

@@ -11,7 +11,7 @@ import numpy as np
 
 from assets_procedural.conventions import console
 from totalediting.editing import backgrounds, decompose, output, sources
-from totalediting.editing.editor import WIDEST_VIEW, Edited, Editor
+from totalediting.editing.editor import WIDEST_VIEW, Edited, Editor, check_view
 from totalediting.editing.motion import Rest
 from totalediting.errors import InputError
 from totalediting.geometry.tracking import Tracking
@@ -150,11 +150,7 @@ def _check(job: Job) -> None:
         )
     if job.lighting is None and (job.spin or job.rotate_light):
         raise InputError("--rotate-light, --spin: there is no light to turn; give --lighting")
-    if not all(abs(angle) <= WIDEST_VIEW for angle in job.view):
-        raise InputError(
-            f"--view: {job.view[0]:g},{job.view[1]:g}: give degrees from {-WIDEST_VIEW:g} to "
-            f"{WIDEST_VIEW:g}"
-        )
+    check_view("--view", job.view)
     backgrounds.check(job.background, job.lighting is not None)
     for path in (job.appearance, job.motion, job.lighting):
         if path is not None and not path.exists() and ":" not in str(path):

@@ -260,16 +260,22 @@ class Editor:
         return kept[key]
 
 
+def check_view(name: str, angles: tuple[float, float]) -> None:
+    """Raises `InputError` for yaw and pitch, degrees, beyond `WIDEST_VIEW`."""
+    if not all(abs(angle) <= WIDEST_VIEW for angle in angles):
+        raise InputError(
+            f"{name}: {angles[0]:g},{angles[1]:g}: give degrees from {-WIDEST_VIEW:g} to "
+            f"{WIDEST_VIEW:g}"
+        )
+
+
 def viewed(view: View, yaw: float, pitch: float) -> View:
     """A camera moved about the head by degrees to the person's left, and up.
 
     Raises:
         InputError: farther than `WIDEST_VIEW`.
     """
-    if not (abs(yaw) <= WIDEST_VIEW and abs(pitch) <= WIDEST_VIEW):
-        raise InputError(
-            f"view: {yaw:g},{pitch:g}: give degrees from {-WIDEST_VIEW:g} to {WIDEST_VIEW:g}"
-        )
+    check_view("view", (yaw, pitch))
     if not yaw and not pitch:
         return view
     before = view.frame[:3, :3]

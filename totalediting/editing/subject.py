@@ -10,8 +10,7 @@ import numpy as np
 from PIL import Image
 
 from assets_procedural.conventions.colour import undisplay
-from totalediting.editing.sources import Found, Photograph, face_of
-from totalediting.editing.track import Tracker
+from totalediting.editing.sources import Found, Photograph
 from totalediting.editing.warping import relight
 from totalediting.editing.warping.bust import View, bust_of, view_of
 from totalediting.editing.warping.portrait import Portrait, filled_in
@@ -95,15 +94,6 @@ def subject_of(photograph: Photograph, found: Found, matting: Matting) -> Subjec
         cut / 255, matte, bust_of(found.tracking), View(view.frame, view.focal / WIDER)
     )
     return Subject(picture, square, found.tracking, portrait, whole, tuple(found.notes))
-
-
-def photographed(tracker: Tracker, matting: Matting, photograph: Photograph) -> Subject:
-    """The photograph's largest face as a subject.
-
-    Raises:
-        InputError: there is none that could be worked with.
-    """
-    return subject_of(photograph, face_of(tracker, photograph), matting)
 
 
 def cut_out(picture: np.ndarray, square: np.ndarray, side: int) -> np.ndarray:

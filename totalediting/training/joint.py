@@ -267,7 +267,7 @@ class JointStage(PairStage):
         found["identity"] = losses.identity_loss(made, wanted)
 
     def validate(self, network: nn.Module) -> Validation:
-        return self.validated(self.network.model)
+        return super().validate(self.network.model)
 
     def _adversarial(self, edit: Edit, batch: PortraitPair, step: int) -> tuple[Tensor, Tensor]:
         """The generator's term, and the discriminator's own with its penalty."""

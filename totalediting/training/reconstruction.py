@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from totalediting import metrics
-from totalediting.baselines.warp import SEEN, warp
+from totalediting.baselines.warp import warp
 from totalediting.data.endless import loader, to_device
 from totalediting.data.kept_tables import KeptTables
 from totalediting.data.pairs import MIRRORED, PortraitPair, PortraitPairs
@@ -73,8 +73,7 @@ class PairStage(Stage):
         self.held_out = PortraitPairs(data, self.preset, split)
         self.most, self.closely = len(self.held_out), True
 
-    def validated(self, network: nn.Module) -> Validation:
-        """How well the model does on the people held out."""
+    def validate(self, network: nn.Module) -> Validation:
         return validate(network, self.held_out, self.most, self.lpips, self.closely)
 
     @property
@@ -153,9 +152,6 @@ class ReconstructStage(PairStage):
         self.perceived(found, edit, truth, self.weights.at(step))
         total = losses.total(found, self.weights, step)
         return total.loss, total.scalars
-
-    def validate(self, network: nn.Module) -> Validation:
-        return self.validated(network)
 
 
 def build(settings: StageSettings) -> ReconstructStage:
@@ -252,10 +248,10 @@ def validate(
 def _closely(batch: PortraitPair, shown: Tensor, lpips: Lpips | None) -> dict[str, Tensor]:
     """Figures (B,) of results over black that take longer."""
     truth, source = batch.foreground, batch.alpha * batch.app.image
-    seen = warp(batch).seen * (batch.alpha > SEEN)
+    seen = warp(batch).seen.to(shown)
     found = {
-        "seen_psnr": metrics.psnr_within(shown, truth, seen.to(shown)),
-        "source_seen_psnr": metrics.psnr_within(source, truth, seen.to(shown)),
+        "seen_psnr": metrics.psnr_within(shown, truth, seen),
+        "source_seen_psnr": metrics.psnr_within(source, truth, seen),
     }
     if lpips is not None:
         lpips = lpips.to(shown.device)

@@ -12,7 +12,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import fake_renderer
 import numpy as np
 import pytest
 import torch
@@ -24,7 +23,6 @@ from assets_procedural.conventions.panorama_reading import PanoramaError
 from assets_procedural.motion.poses import ARKIT_NAMES, Pose
 from assets_procedural.person import Person
 from synthgen.dataset import open_dataset
-from synthgen.farm.local import render_job
 from totalediting.data import backgrounds, shots
 from totalediting.data.backgrounds import put_over
 from totalediting.data.endless import Stream, loader, to_device
@@ -314,17 +312,9 @@ def test_a_bust_at_rest_can_have_no_expression() -> None:
 # ---------------------------------------------------------------- backgrounds
 
 
-@pytest.fixture(scope="module")
-def transparent(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("transparent") / "out"
-    job = fake_renderer.small_job(image={"linear": False, "background": "transparent"})
-    assert render_job(job, out, workers=1, renderer=fake_renderer.RENDERER).complete
-    return out
-
-
-def test_transparent_pictures_get_one_random_background(transparent: Path):
-    pairs = PortraitPairs(transparent, SMALL, seed=1, augment=True)
-    one, same = pairs[3], PortraitPairs(transparent, SMALL, seed=1, augment=True)[3]
+def test_transparent_pictures_get_one_random_background(transparent_dataset: Path):
+    pairs = PortraitPairs(transparent_dataset, SMALL, seed=1, augment=True)
+    one, same = pairs[3], PortraitPairs(transparent_dataset, SMALL, seed=1, augment=True)[3]
     later = pairs[4 + len(pairs)]
     assert one.transparent and equal(one, same)
     assert not torch.allclose(one.background, later.background)
@@ -333,7 +323,7 @@ def test_transparent_pictures_get_one_random_background(transparent: Path):
         # The source's is bent with it, by a pixel at most.
         assert (picture - one.background)[empty].abs().median() < 0.02
     assert one.foreground[(one.alpha == 0).expand(3, -1, -1)].max() == 0
-    still = PortraitPairs(transparent, SMALL, seed=1)[3]
+    still = PortraitPairs(transparent_dataset, SMALL, seed=1)[3]
     assert still.background.max() == 0 and torch.allclose(
         still.mot_image, still.foreground, atol=1e-4
     )
@@ -371,11 +361,11 @@ def test_opaque_pictures_keep_their_background(small_dataset: Path):
     assert torch.equal(sample.foreground, sample.alpha * sample.mot_image)
 
 
-def test_sources_of_training_lie_as_those_of_a_fit(transparent: Path):
+def test_sources_of_training_lie_as_those_of_a_fit(transparent_dataset: Path):
     """The picture is bent against its bust by a share of a per cent of the frame, the camera goes
     round the head by degrees."""
     whole = dataclasses.replace(SMALL, image=96)
-    source = PortraitPairs(transparent, whole, seed=1)[0].app
+    source = PortraitPairs(transparent_dataset, whole, seed=1)[0].app
     angles, shifts = [], []
     grid = torch.stack(torch.meshgrid(*2 * [torch.arange(96) / 96], indexing="ij"))
     ramp = source._replace(image=torch.cat([grid, grid[:1]]))

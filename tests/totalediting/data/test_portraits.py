@@ -6,7 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import fake_renderer
 import numpy as np
 import pytest
 import torch
@@ -18,7 +17,6 @@ from assets_procedural.motion.poses import ARKIT_NAMES, Pose
 from assets_procedural.people.people_settings import PeopleSettings
 from assets_procedural.people.person_sampling import sample_person
 from assets_procedural.person import Person
-from synthgen.farm.local import render_job
 from totalediting.data import portraits, shots
 from totalediting.data.endless import loader
 from totalediting.data.portraits import Portraits
@@ -62,12 +60,10 @@ def test_portraits_say_what_a_tracker_should_find(small_dataset: Path, basis):
     assert isinstance(batch.truth, Tracking) and batch.truth.shift.shape == (2, 2)
 
 
-def test_transparent_portraits_get_a_background(tmp_path: Path):
-    job = fake_renderer.small_job(image={"linear": False, "background": "transparent"})
-    assert render_job(job, tmp_path / "out", workers=1, renderer=fake_renderer.RENDERER).complete
-    data = Portraits(tmp_path / "out", SMALL)
+def test_transparent_portraits_get_a_background(transparent_dataset: Path):
+    data = Portraits(transparent_dataset, SMALL)
     first, later = data[1], data[1 + len(data)]
-    assert equal(first, Portraits(tmp_path / "out", SMALL)[1])
+    assert equal(first, Portraits(transparent_dataset, SMALL)[1])
     empty = (first.alpha == 0).expand(3, -1, -1)
     assert first.image[empty].max() > 0
     for portrait in (first, later):

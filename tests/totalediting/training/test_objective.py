@@ -5,12 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import fake_renderer
 import pytest
 import torch
 from torch import Tensor
 
-from synthgen.farm.local import render_job
 from totalediting.data.endless import collate
 from totalediting.data.pairs import PortraitPair, PortraitPairs
 from totalediting.model import Edit
@@ -22,14 +20,6 @@ from totalediting.training.objective import terms, truth_of, truth_of_real
 from totalediting.training.reconstruction import ReconstructStage, edit_of, over_black
 
 TINY = PRESETS["tiny"]
-
-
-@pytest.fixture(scope="module")
-def transparent(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("transparent") / "out"
-    job = fake_renderer.small_job(image={"linear": False, "background": "transparent"})
-    assert render_job(job, out, workers=1, renderer=fake_renderer.RENDERER).complete
-    return out
 
 
 def batch_of(data: Path, augment: bool = True) -> PortraitPair:
@@ -54,10 +44,10 @@ def of(stage: ReconstructStage, edit: Edit, batch: PortraitPair) -> dict[str, Te
 
 
 def test_the_background_network_learns_from_what_is_beside_the_subject(
-    transparent: Path, monkeypatch: pytest.MonkeyPatch
+    transparent_dataset: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """And its colour from nothing else: that of the picture is known."""
-    stage, batch, edit = made(transparent, monkeypatch)
+    stage, batch, edit = made(transparent_dataset, monkeypatch)
     found = of(stage, edit, batch)
     colour = [stage.network.background.out.weight, stage.network.background.out.bias]
     loss = found["background"]
@@ -71,15 +61,19 @@ def test_the_background_network_learns_from_what_is_beside_the_subject(
         assert gradient is None or gradient[:3].abs().max() == 0
 
 
-def test_a_transparent_picture_counts_as_a_whole(transparent: Path, small_dataset: Path) -> None:
-    whole, opaque = (truth_of(batch_of(data)) for data in (transparent, small_dataset))
+def test_a_transparent_picture_counts_as_a_whole(
+    transparent_dataset: Path, small_dataset: Path
+) -> None:
+    whole, opaque = (truth_of(batch_of(data)) for data in (transparent_dataset, small_dataset))
     assert whole.counts.min() == 1 and torch.equal(opaque.counts, opaque.alpha)
     assert whole.foreground[(whole.alpha == 0).expand_as(whole.foreground)].max() == 0
 
 
-def test_rims_of_opaque_pictures_are_no_foreground(small_dataset: Path, transparent: Path) -> None:
+def test_rims_of_opaque_pictures_are_no_foreground(
+    small_dataset: Path, transparent_dataset: Path
+) -> None:
     """There alpha I* holds some of what was behind; D(alpha c) of a transparent set does not."""
-    opaque, whole = (truth_of(batch_of(data)) for data in (small_dataset, transparent))
+    opaque, whole = (truth_of(batch_of(data)) for data in (small_dataset, transparent_dataset))
     rim = (opaque.alpha > 0.02) & (opaque.alpha < 0.98)
     assert rim.any() and opaque.clear[rim].max() == 0 and opaque.clear[~rim].min() == 1
     assert whole.clear.min() == 1
@@ -92,9 +86,11 @@ def test_a_real_frame_counts_as_a_whole_and_shows_its_own_background() -> None:
     assert torch.equal(truth.beside[0], 1 - alpha[0]) and truth.beside[1].max() == 0
 
 
-def test_pictures_are_judged_over_black(transparent: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    stage, _, _ = made(transparent, monkeypatch)
-    batch = batch_of(transparent, augment=False)
+def test_pictures_are_judged_over_black(
+    transparent_dataset: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stage, _, _ = made(transparent_dataset, monkeypatch)
+    batch = batch_of(transparent_dataset, augment=False)
     with torch.no_grad():
         edit = edit_of(stage.network.eval(), batch, None)
     assert torch.equal(over_black(batch, edit), edit.image)
