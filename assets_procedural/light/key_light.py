@@ -72,11 +72,12 @@ def rotation(
     middle = 0.5 * (facing + sum(yaw for yaw, _ in views) / len(views))
     tried = [side * turn for turn in (key, key - step, key + step) for side in (1.0, -1.0)]
     tried = [middle + each for each in tried if abs(each) <= math.radians(110)]
-    white = [_white(found, middle - each + found.key) for each in tried]
-    strain = [
-        _strain(found, each - found.key, light, views) + 0.1 * i
-        for i, (each, light) in enumerate(zip(tried, white, strict=True))
-    ]
+    brightest = max(_white(found, 2 * math.pi * i / 16) for i in range(16))
+    strain = []
+    for i, each in enumerate(tried):
+        white = _white(found, middle - each + found.key)
+        shade = math.log2(brightest / white) - _SHADE
+        strain.append(max(shade, _strain(found, each - found.key, white, views)) + 0.1 * i)
     return (tried[int(np.argmin(strain))] - found.key) % (2 * math.pi)
 
 
@@ -91,8 +92,8 @@ def _white(found: Survey, azimuth: float) -> float:
 def _strain(
     found: Survey, angle: float, white: float, views: Sequence[tuple[float, float]]
 ) -> float:
-    """By how many stops a face of luminance `white` is in its own shade, or the background is too
-    bright, or half of those it is too dark; the worst of them."""
+    """By how many stops the background is too bright behind a face of luminance `white`, or half of
+    those it is too dark."""
     direction = rotate_z(texel_directions(_ROWS), angle)
     light = found.luminance * texel_solid_angles(_ROWS)[:, None]
     levels = []
@@ -103,6 +104,4 @@ def _strain(
         seen = direction @ away > _CONE
         levels.append(light[seen].sum() / (texel_solid_angles(_ROWS)[:, None] * seen).sum())
     level = max(float(np.mean(levels)) / white, 1e-6)
-    brightest = max(_white(found, 2 * math.pi * i / 16) for i in range(16))
-    shade = math.log2(brightest / white) - _SHADE
-    return max(shade, math.log2(level / _GLARE), 0.5 * math.log2(_NIGHT / level), 0.0)
+    return max(math.log2(level / _GLARE), 0.5 * math.log2(_NIGHT / level), 0.0)

@@ -13,7 +13,7 @@ from assets_procedural.conventions.colour import undisplay
 from totalediting.editing.sources import Found, Photograph
 from totalediting.editing.warping import relight
 from totalediting.editing.warping.bust import View, bust_of, view_of
-from totalediting.editing.warping.portrait import Portrait, filled_in
+from totalediting.editing.warping.portrait import BACKGROUND, PERSON, Portrait, filled_in
 from totalediting.geometry.tracking import Tracking
 
 WIDER = 1.3
@@ -51,12 +51,12 @@ class Subject:
     @cached_property
     def person(self) -> np.ndarray:
         """(h, w, 3) colours of the person alone, going on beyond the outline."""
-        return filled_in(self.coarse, self.matte > 0.9)
+        return filled_in(self.coarse, self.matte > PERSON)
 
     @cached_property
     def background(self) -> np.ndarray:
         """(h, w, 3) the picture without the person; there, what is around."""
-        return filled_in(self.coarse, self.matte < 0.02)
+        return filled_in(self.coarse, self.matte < BACKGROUND)
 
     @cached_property
     def light(self) -> relight.Levelled:

@@ -12,7 +12,8 @@ from totalediting.editing.warping.numbers import blurred, unit
 from totalediting.editing.warping.raster import Raster
 
 _CHIN = -0.12  # metres above the eyes
-_PERSON, _BACKGROUND = 0.9, 0.02  # the matte above and below which colours are one's alone
+PERSON, BACKGROUND = 0.9, 0.02
+"""The matte above and below which colours are one's alone."""
 _WIDTHS = (6, 12, 24, 48, 96)  # by which the side is divided, of the blurs that fill in
 
 
@@ -40,12 +41,12 @@ class Portrait:
     @cached_property
     def person(self) -> np.ndarray:
         """(S, S, 3) colours of the person alone, going on beyond the outline."""
-        return filled_in(self.picture, self.matte > _PERSON)
+        return filled_in(self.picture, self.matte > PERSON)
 
     @cached_property
     def background(self) -> np.ndarray:
         """(S, S, 3) without the person; there, what is around, ever softer."""
-        return filled_in(self.picture, self.matte < _BACKGROUND)
+        return filled_in(self.picture, self.matte < BACKGROUND)
 
     @cached_property
     def head_height(self) -> float:

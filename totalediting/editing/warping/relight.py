@@ -14,9 +14,8 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from assets_procedural.conventions.panorama import texel_directions
-from totalediting.editing.warping.bust import triangles
 from totalediting.editing.warping.distances import distance, nearest
-from totalediting.editing.warping.numbers import blurred, unit
+from totalediting.editing.warping.numbers import blurred
 from totalediting.editing.warping.portrait import Portrait
 
 Light = Callable[[np.ndarray], np.ndarray]
@@ -35,12 +34,11 @@ _REDDER, _YELLOWER = 1.1, 1.0  # least of red over green and green over blue, fo
 def light_of(portrait: Portrait, linear: np.ndarray) -> Light:
     """The light of a portrait, whose picture (S, S, 3) in linear light is given."""
     raster = portrait.raster
-    normals = unit(raster.interpolate(portrait.bust.normals, triangles()))
     red, green, blue = np.moveaxis(linear, -1, 0)
     skin = raster.covered & (red > _REDDER * green) & (green > _YELLOWER * blue)
     if skin.sum() < 0.05 * raster.covered.sum():  # a picture without colour, or tinted
         skin = raster.covered
-    basis, values = _harmonics(normals[skin]), linear[skin]
+    basis, values = _harmonics(portrait.normals[skin]), linear[skin]
     values = values / np.median(values, axis=0).clip(1e-4)
     ridge = _STIFF * np.sqrt(len(basis)) * np.diag([0, 0.3, 0.3, 0.3, 1, 1, 1, 1, 1])
     coefficients = np.zeros((9, 3))
