@@ -23,6 +23,9 @@ from synthgen.dataset.folder import DamageError, StorageError
 from synthgen.dataset.samples import FIELDS
 
 ARRAYS = ("rgb_00", "hdr_01", "rgb", "albedo", "normal", "depth", "parts", "landmarks", "joints")
+WORKERS: dict[str, Any] = {"num_workers": 2, "multiprocessing_context": "spawn"}
+"""Started afresh, as on other systems than Linux: all that a worker needs goes to it. Forked off a
+process that ran other tests, whose libraries have threads, one now and then dies of its start."""
 LABELS = ("camera", "expression", "head", "gaze", "landmarks_2d", "landmarks_visible", "exposures")
 
 
@@ -71,10 +74,7 @@ def test_torch_collates_every_field_in_several_workers(small_dataset: Path):
     samples = open_dataset(small_dataset, subset="video").samples(fields)
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # of memory that may not be written, say
-        # Started afresh, as on other systems than Linux: all that a worker needs goes to it.
-        spawned: dict[str, Any] = {"num_workers": 2, "multiprocessing_context": "spawn"}
-        loader = DataLoader(samples, 2, **spawned)  # type: ignore[arg-type]
-        batches = list(loader)
+        batches = list(DataLoader(samples, 2, **WORKERS))  # type: ignore[arg-type]
     assert len(batches) == 3
     for number, batch in enumerate(batches):
         assert batch["parts"].dtype == torch.uint8
@@ -122,7 +122,7 @@ def test_webdataset_streams_whole_arrays_in_several_workers(small_dataset: Path)
     )
     ours = open_dataset(small_dataset, subset="multiview")
     seen: list[str] = []
-    for keys, parts, aov, geometry in DataLoader(stream, batch_size=2, num_workers=2):
+    for keys, parts, aov, geometry in DataLoader(stream, batch_size=2, **WORKERS):
         for i, key in enumerate(keys):
             shot = ours[key.split("/")[-1]]
             np.testing.assert_array_equal(parts[i], shot.parts)
@@ -152,7 +152,7 @@ def test_hugging_face_keeps_arrays_in_several_workers(
     ).with_format("numpy")
     ours = open_dataset(small_dataset, subset="multiview")
     seen = []
-    for batch in DataLoader(rows, batch_size=2, num_workers=2, collate_fn=collated):  # type: ignore[arg-type]
+    for batch in DataLoader(rows, batch_size=2, collate_fn=collated, **WORKERS):  # type: ignore[arg-type]
         for i, key in enumerate(batch["key"]):
             shot = ours[key]
             np.testing.assert_array_equal(batch["parts"][i], shot.parts)
