@@ -29,6 +29,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import report
@@ -177,25 +178,32 @@ class Found:
 
 
 def measure(
-    name: str, data: Path, preset: str, batch: int, steps: int, device: str, compiled: bool
+    run: Path,
+    name: str,
+    data: Path,
+    preset: str,
+    batch: int,
+    steps: int,
+    device: str,
+    compiled: bool,
 ) -> Found:
-    """One stage in this process; with `compiled`, its step and memory alone."""
+    """One stage in this process, its run in `run`; with `compiled`, its step and memory alone."""
     place, schedule = torch.device(device), STAGES[name].schedule
     torch.manual_seed(0)
-    settings = StageSettings(data, PRESETS[preset], Path(), schedule.steps, workers=1)
+    settings = StageSettings(data, PRESETS[preset], run, schedule.steps, workers=1)
     stage: Any = runs.build(name, settings)
     training = loop.Training(loop.launch(loop.Machine(device)), stage, schedule)
     if compiled:
         training.network = torch.compile(training.network)  # pyright: ignore[reportAttributeAccessIssue]
     timeline = Timeline(place)
     first = schedule.steps // 2
-    run = partial(one_step, training, timeline)
+    step_once = partial(one_step, training, timeline)
     batches = stage.batches(first, batch, 0, 1)
     if place.type == "cuda":
         torch.cuda.reset_peak_memory_stats()
 
     def several(step: int) -> list[dict[tuple[str, bool], float]]:
-        return [run(batches, step + k) for k in range(WARM + steps)][WARM:]
+        return [step_once(batches, step + k) for k in range(WARM + steps)][WARM:]
 
     plain = several(first)
     found = Found(
@@ -243,8 +251,11 @@ def one_step(
 def alone(name: str, data: Path, preset: str, batch: int, *others: Any) -> Found:
     """`measure` in a process of its own."""
     try:
-        with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-            return pool.submit(measure, name, data, preset, batch, *others).result()
+        with (
+            TemporaryDirectory() as run,
+            ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool,
+        ):
+            return pool.submit(measure, Path(run), name, data, preset, batch, *others).result()
     except (BrokenProcessPool, torch.OutOfMemoryError):
         remedy = "give fewer" if batch > 1 else "take a smaller preset"
         raise InputError(
