@@ -83,12 +83,12 @@ def skin_fields(person: Person, model: HeadModel) -> SkinFields:
     tired = zone["under_eye"] * (0.35 + 0.5 * age) * rng.uniform(0.4, 1.3)
     colour *= 1 - tired[:, None] * np.array([0.16, 0.12, 0.06])
 
-    lip_melanin = 0.1 + 0.75 * skin.melanin
+    lip_melanin = 0.14 + 0.93 * skin.melanin
     # The red is darkest where it meets the skin.
     edge = 0.25 * np.clip(4 * zone["lips"] * (1 - zone["lips"]), 0, 1)
-    lips = reflectance(lip_melanin + 0.5 * edge, 1.5 + 0.9 * skin.haemoglobin + edge)
+    lips = reflectance(lip_melanin + 0.5 * edge, 1.2 + 0.9 * skin.haemoglobin + edge)
     lips = lips * np.array([0.98, 0.86, 0.92])
-    colour += (zone["lips"][:, None] * 0.85) * (lips - colour)
+    colour += (zone["lips"][:, None] * 0.8) * (lips - colour)
     mucosa = np.array([0.16, 0.035, 0.03])
     colour += zone["mouth_interior"][:, None] * (mucosa - colour)
 
@@ -106,13 +106,13 @@ def skin_fields(person: Person, model: HeadModel) -> SkinFields:
     cover = inside * (0.25 if person.hair.style == "bald" else 0.8) * (1 - 0.6 * person.hair.grey)
     colour *= 1 - (cover * (0.35 + 0.45 * person.hair.melanin))[:, None]
 
-    roughness = 0.53 - 0.14 * skin.oiliness * zone["t_zone"] - 0.04 * skin.oiliness
+    roughness = 0.44 - 0.12 * skin.oiliness * zone["t_zone"] - 0.04 * skin.oiliness
     roughness = roughness + 0.05 * zone["cheeks"] * (1 - skin.oiliness)
     roughness = roughness + zone["lips"] * (0.34 - roughness)
     roughness = roughness + 0.15 * inside
     roughness = roughness + zone["mouth_interior"] * (0.2 - roughness)
     # The same sheen shows more on dark skin, which scatters less.
-    sebum = (0.08 + 0.2 * skin.oiliness) * (1 + 0.5 * skin.melanin)
+    sebum = (0.16 + 0.26 * skin.oiliness) * (1 + 0.5 * skin.melanin)
     sebum = sebum * (0.55 + 0.9 * zone["t_zone"] - 0.25 * zone["neck"])
     sebum = np.maximum(sebum, 0.3 * zone["lips"]) * (1 - 0.7 * inside)
     for paint, strength in _painted(person, zone, model):

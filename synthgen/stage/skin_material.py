@@ -47,8 +47,8 @@ def skin(parameters: Skin) -> bpy.types.Material:
     blood = (1 - 0.5 * parameters.melanin) * HAEMOGLOBIN
     mottling = graph.scalar("mottling")
     colour = tinted(colour, mottling, flush, _tone(0.26 * blood), _tone(-0.38 * blood))
-    tan = graph.noise(graph.combine("ADD", place, (3.1, 1.7, 0.4)), 118, detail=5, rough=0.8)
-    pigment = (0.066 + 0.045 * parameters.melanin) * MELANIN
+    tan = graph.noise(graph.combine("ADD", place, (3.1, 1.7, 0.4)), 190, detail=3, rough=0.65)
+    pigment = (0.04 + 0.03 * parameters.melanin) * MELANIN
     colour = tinted(colour, 1.0, tan, _tone(-pigment), _tone(0.6 * pigment))
     specks = graph.noise(place, 620, detail=1)
     amount = graph.math("MULTIPLY", graph.stretch(specks, 0.58, 0.72, (0, 0.6)), pores)
