@@ -18,6 +18,8 @@ from assets_procedural.person import Person
 
 _STEPS = 30
 CLOTHES_MARGIN = 0.015
+# What hangs is drawn to the neck in proportion to how far aside it is.
+_NECK_WIDTH = 0.08
 # Beside a parting hair stands hardly higher than its ridge, metres; from the sides on it is free.
 _PART_HEIGHT, _RIDGE_SLOPE, _RIDGE_WIDTH = 0.0036, 0.4, 0.045
 # Hair of more than this length falls over the ears, which the skin that strands keep off lacks.
@@ -90,7 +92,6 @@ def grow(
         return across(flow, up)
 
     forward = np.where(root_at[:, 1] + rng.normal(0, 0.01, len(root)) < -0.055, -1.0, 1.0)
-    aside = np.stack([-0.25 * np.sign(root[:, 0]), 0.45 * forward, 0 * forward], axis=1)
     flow = combed(point, normal)
     heading = unit(lift * normal + (1 - lift) * flow)
     signed, up = surface.distance(point)
@@ -100,7 +101,9 @@ def grow(
         want = combed(point, up) * hold
         want = want + np.array([0, 0, -1.0]) * style.gravity * (1 - 0.6 * hold) * ~bound[:, None]
         # On the shoulders hair slides to the chest or to the back.
-        want = want + aside * smoothstep(chin + 0.03, chin - 0.05, point[:, 2])[:, None]
+        below = smoothstep(chin + 0.03, chin - 0.05, point[:, 2])
+        aside = np.stack([-point[:, 0] / _NECK_WIDTH, 0.9 * forward, 0 * forward], axis=1)
+        want = want + below[:, None] * aside
         keep = style.stiffness * np.linalg.norm(want, axis=1, keepdims=True).clip(0.3)
         heading = unit(keep * heading + (1 - style.stiffness) * want)
         tried = point + step * heading
