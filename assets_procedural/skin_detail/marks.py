@@ -19,8 +19,8 @@ _FRECKLE = np.array([0.30, 0.50, 0.62], np.float32)
 _AGE_SPOT = np.array([0.30, 0.44, 0.52], np.float32)
 _MOLE = np.array([0.68, 0.78, 0.82], np.float32)
 _BLEMISH = np.array([0.06, 0.36, 0.36], np.float32)
-_FLUSH = np.array([0.04, 0.20, 0.17], np.float32)
-_TAN = np.array([0.13, 0.17, 0.19], np.float32)
+_FLUSH = np.array([0.05, 0.28, 0.25], np.float32)
+_TAN = np.array([0.15, 0.21, 0.25], np.float32)
 _SCAR = np.array([0.12, 0.20, 0.22], np.float32)
 _VEIN = np.array([0.13, 0.055, 0.035], np.float32)
 _LINER = np.array([0.90, 0.90, 0.88], np.float32)
@@ -80,8 +80,8 @@ def marks(person: Person, model: HeadModel) -> tuple[np.ndarray, np.ndarray]:
     brown = np.clip(zone["forehead"] + zone["cheeks"] + 0.3, 0, 1) * bare
     uneven = 0.5 + 0.8 * skin.blemishes
     for where, tone, count in (
-        (red, _FLUSH * (0.3 + 0.7 * light), 110),
-        (brown, _TAN * (1.2 - 0.5 * light), 80),
+        (red, _FLUSH * (0.3 + 0.7 * light), 160),
+        (brown, _TAN * (1.2 - 0.5 * light), 120),
     ):
         spots = _spots(rng, where, rng.poisson(count * uneven), (1.2e-3, 5e-3), 0.9, soft=1.8)
         absorbed += spots[..., None] * tone

@@ -20,7 +20,7 @@ from synthgen.stage.lens import finish
 
 # What a face of medium albedo is exposed to, linear, and how far the meter follows dark skin: 1
 # would make all skins equally bright, 0 would meter the incident light alone.
-_FACE_LEVEL = 0.26
+_FACE_LEVEL = 0.29
 _MEDIUM_ALBEDO = 0.40
 _FOLLOW = 0.38
 _BRIGHT = 1.2  # linear, of a background: brighter ones are metered, too
@@ -45,14 +45,14 @@ def face_exposure(linear: np.ndarray, albedo: np.ndarray, parts: np.ndarray) -> 
 
 
 def spared(background: np.ndarray, alpha: np.ndarray) -> float:
-    """The factor in [0.7, 1] by which a camera exposes less before a bright background.
+    """The factor in [0.84, 1] by which a camera exposes less before a bright background.
 
     `background` (H, W, 3) is exposed for the face, `alpha` (H, W). Half of the stops that its
-    median is above `_BRIGHT` are taken back, half a stop at most: the face comes first.
+    median is above `_BRIGHT` are taken back, a quarter stop at most: the face comes first.
     """
     seen = alpha < 0.5
     level = float(np.median(background[seen] @ LUMINANCE)) if seen.mean() > 0.02 else 0.0
-    return float(np.clip(_BRIGHT / max(level, _BRIGHT), 0.5, 1.0) ** 0.5)
+    return float(np.clip(_BRIGHT / max(level, _BRIGHT), 0.7, 1.0) ** 0.5)
 
 
 def matte(coverage: np.ndarray) -> np.ndarray:

@@ -62,10 +62,10 @@ def skin(parameters: Skin) -> bpy.types.Material:
 
     # One bump node with summed heights: chained ones are slow.
     relief = graph.noise(place, 330, detail=4, rough=0.72)
-    relief = graph.math("MULTIPLY", relief, graph.math("MULTIPLY", pores, 0.0008))
+    relief = graph.math("MULTIPLY", relief, graph.math("MULTIPLY", pores, 0.00095))
     # The net of furrows between pores, finer across the face than along it.
     net = graph.noise(graph.combine("MULTIPLY", place, (0.6, 0.6, 1.0)), 640, detail=2)
-    net = graph.math("MULTIPLY", graph.math("ABSOLUTE", graph.math("SUBTRACT", net, 0.5)), 0.00055)
+    net = graph.math("MULTIPLY", graph.math("ABSOLUTE", graph.math("SUBTRACT", net, 0.5)), 0.00065)
     along = graph.combine("MULTIPLY", place, (1.0, 0.3, 0.12))
     furrows = graph.math("MULTIPLY", graph.noise(along, 620, detail=2), graph.scalar("lips"))
     furrows = graph.math("MULTIPLY", furrows, 0.00055)
