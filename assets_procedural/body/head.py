@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
+from assets_procedural.mesh.vectors import smoothstep
 from assets_procedural.motion.poses import Pose, lid_following
 from assets_procedural.person import Person
 
@@ -27,6 +28,8 @@ LIDS = {"eyeBlinkLeft": (7748, 7761), "eyeBlinkRight": (1056, 1069)}
 # Middle of the inner upper and lower lip; a millimetre or two apart in Anny's neutral face.
 _LIPS = (474, 493)
 _LIP_GAP = 0.0002
+# A smile of one side parts the lips up to here on the other, metres.
+_LIP_MIDDLE = 0.02
 HEAD_SHARES = {"neck01": 0.15, "neck02": 0.15, "neck03": 0.2, "head": 0.5}
 """How a turn of the head is shared among the cervical chain; the shares add up to 1."""
 _PHENOTYPE_ANCHORS = {
@@ -94,6 +97,24 @@ class HeadModel:
     @cached_property
     def expression_names(self) -> tuple[str, ...]:
         return tuple(self.arrays["facial/labels"].tolist())
+
+    @cached_property
+    def action_shapes(self) -> np.ndarray:
+        """(A, V, 3) metres at full strength of each of `expression_names`.
+
+        Anny's smiles push the lips through each other; here they part by as much, each on its own
+        side, so that they meet as at rest and a grin shows teeth.
+        """
+        shapes = self.arrays["facial/shapes"].copy()
+        close = shapes[_position(self.expression_names, "mouthClose")]
+        upper, lower = self.from_base(_LIPS)
+        smiles = [_position(self.expression_names, f"mouthSmile{s}") for s in ("Left", "Right")]
+        both = shapes[smiles].sum(axis=0)
+        share = (both[lower, 2] - both[upper, 2]) / (close[lower, 2] - close[upper, 2])
+        left = smoothstep(-_LIP_MIDDLE, _LIP_MIDDLE, self.template[:, :1])
+        for index, side in zip(smiles, (left, 1 - left), strict=True):
+            shapes[index] -= share * side * close
+        return shapes
 
     @cached_property
     def shape_names(self) -> tuple[str, ...]:
@@ -181,7 +202,7 @@ class Identity:
 
         A blink is a share of the subject's own lid aperture, so that 1 closes every eye exactly.
         """
-        shapes = self.model.arrays["facial/shapes"]
+        shapes = self.model.action_shapes
         vertices = self.rest.copy()
         actions = lid_following(pose)
         for name in sorted(actions, key=LIDS.__contains__):  # blinks last

@@ -18,8 +18,8 @@ from assets_procedural.person import Person
 
 _STEPS = 30
 CLOTHES_MARGIN = 0.015
-# What hangs is drawn to the neck in proportion to how far aside it is.
-_NECK_WIDTH = 0.08
+# What hangs farther aside than the neck is drawn back to it, over this distance.
+_NECK, _NECK_PULL = 0.065, 0.05
 # Beside a parting hair stands hardly higher than its ridge, metres; from the sides on it is free.
 _PART_HEIGHT, _RIDGE_SLOPE, _RIDGE_WIDTH = 0.0036, 0.4, 0.045
 # Hair of more than this length falls over the ears, which the skin that strands keep off lacks.
@@ -34,6 +34,12 @@ def tie_points(style: Style, root_at: np.ndarray) -> tuple[np.ndarray, np.ndarra
     ties = np.array(style.ties)
     nearest = np.abs(root_at[:, None, 0] - ties[None, :, 0]).argmin(axis=1)
     return root_at[:, 2] > style.tied_above, nearest
+
+
+def falls_forward(root_at: np.ndarray, person: Person) -> np.ndarray:
+    """Whether hair at template points (N, 3) hangs to the chest, else it does to the back: (N,)."""
+    ragged = tousled(3.0 * root_at, np.random.default_rng([person.hair.seed, 29]))[:, 0]
+    return root_at[:, 1] + 0.01 * ragged < -0.055
 
 
 def lengths(
@@ -91,7 +97,7 @@ def grow(
         flow = np.where(bound[:, None], unit(ties - at), flow)
         return across(flow, up)
 
-    forward = np.where(root_at[:, 1] + rng.normal(0, 0.01, len(root)) < -0.055, -1.0, 1.0)
+    forward = np.where(falls_forward(root_at, person), -1.0, 1.0)
     flow = combed(point, normal)
     heading = unit(lift * normal + (1 - lift) * flow)
     signed, up = surface.distance(point)
@@ -102,7 +108,9 @@ def grow(
         want = want + np.array([0, 0, -1.0]) * style.gravity * (1 - 0.6 * hold) * ~bound[:, None]
         # On the shoulders hair slides to the chest or to the back.
         below = smoothstep(chin + 0.03, chin - 0.05, point[:, 2])
-        aside = np.stack([-point[:, 0] / _NECK_WIDTH, 0.9 * forward, 0 * forward], axis=1)
+        x = point[:, 0]
+        inwards = -np.sign(x) * np.maximum(np.abs(x) - _NECK, 0) / _NECK_PULL
+        aside = np.stack([inwards, 0.9 * forward, 0 * forward], axis=1)
         want = want + below[:, None] * aside
         keep = style.stiffness * np.linalg.norm(want, axis=1, keepdims=True).clip(0.3)
         heading = unit(keep * heading + (1 - style.stiffness) * want)

@@ -15,7 +15,7 @@ from assets_procedural.conventions.parts import Part
 from assets_procedural.hair.braiding import tails
 from assets_procedural.hair.combing import upright
 from assets_procedural.hair.draping import Draped, Surface, chin_height
-from assets_procedural.hair.growth import CLOTHES_MARGIN, grow, tie_points
+from assets_procedural.hair.growth import CLOTHES_MARGIN, falls_forward, grow, tie_points
 from assets_procedural.hair.hair_detail import detailed
 from assets_procedural.hair.scalp import (
     parted_aside,
@@ -33,6 +33,8 @@ from assets_procedural.person import Hat, Person
 _GUIDES = 900
 _TAIL_SHARE = 0.35
 _SMALL_PUSH = 0.008
+# Hair of more than this length, metres, reaches the shoulders, which part it.
+_DIVIDED = 0.22
 # Hair lies flat under a hat and leaves its rim at this slope.
 _UNDER_HAT, _HAT_FLARE = 0.002, 0.6
 
@@ -111,14 +113,17 @@ def _grown(
 
 
 def _sides(style: Style, person: Person, at: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """What strands at template points (N, 3) do not mix across: parting and ties, -2, -1, 1, 2."""
+    """What strands at template points (N, 3) do not mix across: the sign is the side of a parting
+    or tie, tied are ±2, loose ±1, or ±3 where they hang to the back instead of the chest."""
     side = parting_sides(at, person, rng) if style.parted else np.ones(len(at), int)
+    back = (style.length[1] > _DIVIDED) & ~falls_forward(at, person)
+    loose = np.where(back, 3 * side, side)
     if not style.ties:
-        return side
+        return loose
     bound, number = tie_points(style, at)
     if len(style.ties) > 1:
         side = np.where(number == 0, 1, -1)
-    return np.where(bound, 2 * side, side)
+    return np.where(bound, 2 * side, np.abs(loose) * side)
 
 
 def _off_the_face(points: np.ndarray) -> np.ndarray:

@@ -17,11 +17,11 @@ MOODS: dict[str, Actions] = {
     "smile": {"mouthSmile": 0.8, "cheekSquint": 0.4, "eyeSquint": 0.2, "mouthDimple": 0.2},
     "grin": {
         "mouthSmile": 0.95, "cheekSquint": 0.55, "eyeSquint": 0.35, "jawOpen": 0.08,
-        "mouthUpperUp": 0.4, "mouthLowerDown": 0.2, "mouthStretch": 0.15,
+        "mouthUpperUp": 0.85, "mouthLowerDown": 0.5, "mouthStretch": 0.15,
     },
     "laugh": {
         "mouthSmile": 1.0, "cheekSquint": 0.8, "eyeSquint": 0.6, "jawOpen": 0.4,
-        "mouthUpperUp": 0.45, "mouthLowerDown": 0.25, "browOuterUp": 0.2, "noseSneer": 0.1,
+        "mouthUpperUp": 0.8, "mouthLowerDown": 0.5, "browOuterUp": 0.2, "noseSneer": 0.1,
     },
     "amused": {
         "mouthSmileLeft": 0.48, "mouthSmileRight": 0.34, "mouthPress": 0.15, "cheekSquint": 0.2,

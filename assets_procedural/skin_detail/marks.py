@@ -78,12 +78,12 @@ def marks(person: Person, model: HeadModel) -> tuple[np.ndarray, np.ndarray]:
     # surface about nose, cheeks and chin, pigment wherever the sun has been.
     red = np.clip(zone["cheeks"] + 1.2 * zone["nose"] + 0.8 * zone["chin"] + 0.12, 0, 1) * bare
     brown = np.clip(zone["forehead"] + zone["cheeks"] + 0.3, 0, 1) * bare
-    uneven = 0.5 + 0.8 * skin.blemishes
+    uneven, own = 0.5 + 0.8 * skin.blemishes, np.random.default_rng([skin.seed, 8])
     for where, tone, count in (
         (red, _FLUSH * (0.3 + 0.7 * light), 160),
         (brown, _TAN * (1.2 - 0.5 * light), 120),
     ):
-        spots = _spots(rng, where, rng.poisson(count * uneven), (1.2e-3, 5e-3), 0.9, soft=1.8)
+        spots = _spots(own, where, own.poisson(count * uneven), (1.2e-3, 5e-3), 0.9, soft=1.8)
         absorbed += spots[..., None] * tone
 
     pale = float(smoothstep(0.45, 0.1, np.array(skin.melanin)))

@@ -156,7 +156,7 @@ def _rig(device: torch.device) -> _Rig:
     skin = model.groups["skin"]
     place = np.full(len(model.template), -1)  # of a vertex among the skin's
     place[skin] = np.arange(len(skin))
-    shapes = model.arrays["facial/shapes"]
+    shapes = model.action_shapes
     by_name = [shapes[model.expression_names.index(name)][skin] for name in ARKIT_NAMES]
     blinks = []
     for name, lids in LIDS.items():

@@ -30,7 +30,7 @@ from assets_procedural.people.person_sampling import sample_person
 from assets_procedural.person import Person
 
 RACES = ("african", "asian", "caucasian")
-MOVES = {"jawOpen": 0.4, "mouthSmileLeft": 0.7, "browInnerUp": 0.5, "eyeSquintRight": 0.3}
+MOVES = {"jawOpen": 0.4, "mouthDimpleLeft": 0.7, "browInnerUp": 0.5, "eyeSquintRight": 0.3}
 
 
 @pytest.fixture(scope="module")
@@ -91,6 +91,18 @@ def test_outlines_go_one_way_and_leave_eyes_and_teeth(model):
         for group in ("eye_left", "eye_right"):
             assert np.abs(moved[model.groups[group]]).max() < 1e-6
         np.testing.assert_array_equal(model.identity(Person(shape={name: -1.0})).rest, plain.rest)
+
+
+def test_a_smile_of_either_side_or_both_does_not_push_the_lips_through_each_other(model):
+    upper, lower = model.from_base([455, 474]), model.from_base([492, 493])
+    identity = model.identity(Person())
+    for sides in (["Left"], ["Right"], ["Left", "Right"]):
+        smile = {f"mouthSmile{side}": 1.0 for side in sides}
+        bust = identity.pose(Pose(expression=smile)).unposed
+        gap = bust[upper[1], 2] - bust[lower[1], 2]
+        assert 0 <= gap < 1e-3
+        thickness = bust[upper[0], 2] - bust[lower[0], 2]
+        assert thickness > 0.8 * (identity.rest[upper[0], 2] - identity.rest[lower[0], 2])
 
 
 def test_left_and_right_asymmetries_mirror_each_other(model):

@@ -11,7 +11,7 @@ from assets_procedural.body.piece import StrandPiece
 from assets_procedural.body.roots import sample_roots
 from assets_procedural.conventions.parts import Part
 from assets_procedural.hair import beards, brows_and_lashes, scalp_hair
-from assets_procedural.hair.draping import Surface
+from assets_procedural.hair.draping import Surface, chin_height
 from assets_procedural.hair.styles import STYLES
 from assets_procedural.mesh.vectors import smoothstep
 from assets_procedural.motion.poses import Pose
@@ -77,7 +77,10 @@ def test_hair_follows_the_head_rigidly_above_the_chin(identity):
     bust = identity.pose(Pose(head=(0.2, 0.1, 0.6)))
     head = bust.bones["head"]
     rest = piece.place(identity.neutral)
-    assert np.allclose(piece.place(bust), rest @ head[:3, :3].T + head[:3, 3], atol=1e-5)
+    high = rest[..., 2].min(axis=1) > chin_height(identity)
+    assert high.mean() > 0.99
+    posed = piece.place(bust)[high]
+    assert np.allclose(posed, rest[high] @ head[:3, :3].T + head[:3, 3], atol=1e-5)
 
 
 @pytest.mark.parametrize("yaw", [-35, 35])
@@ -94,6 +97,13 @@ def test_long_hair_drapes_on_a_turned_bust(identity, yaw):
     assert np.quantile(stretch / before, 0.99) < 1.5
     signed, _ = Surface.of(bust).distance(posed[::10, 1:])
     assert (signed < -0.002).mean() < 0.01
+
+
+def test_hair_on_the_shoulders_hangs_before_or_behind_them_not_over_them(identity):
+    tips = grow(identity, "long_straight").place(identity.neutral)[:, -1]
+    assert np.quantile(np.abs(tips[:, 0]), 0.95) < 0.1
+    # Between chest and back nearly nothing hangs.
+    assert ((tips[:, 1] > -0.04) & (tips[:, 1] < 0.03)).mean() < 0.08
 
 
 def test_a_receding_hairline_and_a_bare_crown_take_hair_where_they_should(identity):
