@@ -19,7 +19,7 @@ from assets_procedural.person import Person
 _STEPS = 30
 CLOTHES_MARGIN = 0.015
 # What hangs farther aside than the neck is drawn back to it, over this distance.
-_NECK, _NECK_PULL = 0.065, 0.05
+_NECK, _NECK_PULL = 0.085, 0.05
 # Beside a parting hair stands hardly higher than its ridge, metres; from the sides on it is free.
 _PART_HEIGHT, _RIDGE_SLOPE, _RIDGE_WIDTH = 0.0036, 0.4, 0.045
 # Hair of more than this length falls over the ears, which the skin that strands keep off lacks.
@@ -110,7 +110,7 @@ def grow(
         below = smoothstep(chin + 0.03, chin - 0.05, point[:, 2])
         x = point[:, 0]
         inwards = -np.sign(x) * np.maximum(np.abs(x) - _NECK, 0) / _NECK_PULL
-        aside = np.stack([inwards, 0.9 * forward, 0 * forward], axis=1)
+        aside = np.stack([inwards, 0.45 * forward, 0 * forward], axis=1)
         want = want + below[:, None] * aside
         keep = style.stiffness * np.linalg.norm(want, axis=1, keepdims=True).clip(0.3)
         heading = unit(keep * heading + (1 - style.stiffness) * want)
