@@ -22,7 +22,7 @@ _OR_HERE = ", in the current folder where that cannot be written."
 
 def add_to(app: typer.Typer) -> None:
     """Makes them commands of `app`."""
-    for command in (show, sheet, clip, rerender, query, export, browse):
+    for command in (show, sheet, clip, rerender, query, export, subset, browse):
         app.command()(command)
 
 
@@ -144,6 +144,15 @@ def query(
         answers.write(answer, format_, output)
 
 
+Where = Annotated[
+    str | None, typer.Option(metavar="SQL", help='Only shots such as "person_age_years > 60".')
+]
+OneSubset = Annotated[str | None, typer.Option(help="Only this subset.")]
+Split = Annotated[
+    Literal["train", "validation", "test"] | None, typer.Option(help="Only this split.")
+]
+
+
 def export(
     out: Dataset,
     target: Annotated[
@@ -152,14 +161,9 @@ def export(
     format_: Annotated[
         Literal["nerfstudio"], typer.Option("--format", help="The format that tool reads.")
     ] = "nerfstudio",
-    where: Annotated[
-        str | None,
-        typer.Option(metavar="SQL", help='Only shots such as "person_age_years > 60".'),
-    ] = None,
-    subset: Annotated[str | None, typer.Option(help="Only this subset.")] = None,
-    split: Annotated[
-        Literal["train", "validation", "test"] | None, typer.Option(help="Only this split.")
-    ] = None,
+    where: Where = None,
+    subset: OneSubset = None,
+    split: Split = None,
 ) -> None:
     """Export a dataset to another tool: a transforms.json per subject and environment."""
     from synthgen.beside import beside
@@ -169,6 +173,30 @@ def export(
     write = {"nerfstudio": nerfstudio}[format_]
     chosen = open_dataset(out, subset=subset, split=split, where=where)
     console.say(write(chosen, target or beside(out, f"-{format_}")))
+
+
+def subset(
+    out: Dataset,
+    target: Annotated[Path, typer.Option("--out", metavar="DIR", help="A new folder.")],
+    where: Where = None,
+    subset: OneSubset = None,
+    split: Split = None,
+) -> None:
+    """Write some shots of a finished dataset as a dataset of its own, which `verify` passes.
+
+    Files that are kept whole are hard links and take no room; of the others whole samples are
+    copied. dataset.json records what was asked for.
+    """
+    from synthgen.dataset import open_dataset
+    from synthgen.dataset.records import Selection
+    from synthgen.publish.subsetting import take
+
+    chosen = open_dataset(out, subset=subset, split=split, where=where)
+    asked = Selection(source="", where=where or "", subset=subset or "", split=split or "")
+    taken = take(chosen, target, asked)
+    shots = console.count(taken.shots, "shot")
+    subjects = console.count(taken.subjects, "subject")
+    console.say(f"{taken.folder}: {shots} of {subjects}, {console.size(taken.copied)} copied")
 
 
 def browse(

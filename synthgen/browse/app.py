@@ -4,6 +4,8 @@
     /api/dataset                                    name, counts, columns, environments, revision
     /api/shots?<selection>&offset=&limit=           a page of rows, and how many there are
     /api/counts?<selection>&columns=                facets and histograms, of all columns or some
+    /api/selection?<selection>                      SQL, Python and command that choose the same
+    /rows?<selection>&format=                       keys, csv or parquet of a selection, a download
     /api/shot/{subset}/{shot}                       metadata, members, siblings, command, broken
     /api/subject/{subset}/{subject}                 shots and cameras
     /thumbnail/{subset}/{shot}?environment=&size=   JPEG; SVG with X-Broken where there is none
@@ -24,14 +26,17 @@ from __future__ import annotations
 import io
 import json
 import math
+import re
 from collections.abc import Callable
 from importlib.resources import files
+from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import escape
 
 import numpy as np
 from PIL import Image
 from starlette.applications import Starlette
+from starlette.background import BackgroundTask
 from starlette.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
@@ -40,7 +45,17 @@ from starlette.responses import FileResponse, JSONResponse, Response, StreamingR
 from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
-from synthgen.browse import counts, dataset, light, samples, selection, shot_page, shots, subjects
+from synthgen.browse import (
+    counts,
+    dataset,
+    exports,
+    light,
+    samples,
+    selection,
+    shot_page,
+    shots,
+    subjects,
+)
 from synthgen.browse.decoded import Decoder
 from synthgen.browse.folder import Folder, Refused, name
 from synthgen.browse.samples import Broken, Sample
@@ -52,6 +67,11 @@ from synthgen.browse.uploads import Uploads
 from synthgen.dataset.folder import StorageError
 
 _ASSETS = files("synthgen.browse") / "assets"
+_DOWNLOADS = {
+    "keys": ("keys.txt", "text/plain; charset=utf-8"),
+    "csv": ("rows.csv", "text/csv; charset=utf-8"),
+    "parquet": ("rows.parquet", "application/vnd.apache.parquet"),
+}
 # An address does not say which bytes it stands for, so before long it is asked about again.
 _BRIEFLY = {"Cache-Control": "private, max-age=60"}
 
@@ -98,6 +118,27 @@ class Server:
         wanted = request.query_params.get("columns")
         names = None if wanted is None else [n for n in wanted.split(",") if n]
         return Answer(counts.count(snapshot, chosen, names))
+
+    def selection(self, request: Request) -> Response:
+        chosen = selection.parse(request.query_params, self.library.snapshot())
+        return Answer(exports.describe(str(self.folder.given), chosen))
+
+    def rows(self, request: Request) -> Response:
+        snapshot = self.library.snapshot()
+        chosen = selection.parse(request.query_params, snapshot)
+        form = request.query_params.get("format", "csv")
+        if form not in _DOWNLOADS:
+            raise Refused(f"format {form[:40]}: must be one of {', '.join(_DOWNLOADS)}", 400)
+        ending, kind = _DOWNLOADS[form]
+        name = re.sub(r"[^\w.-]+", "_", snapshot.info.get("name") or "dataset", flags=re.ASCII)
+        headers = {"Content-Disposition": f'attachment; filename="{name[:80]}-{ending}"'}
+        if form == "parquet":
+            folder = exports.as_parquet(snapshot, chosen)
+            path = Path(folder.name) / "rows.parquet"
+            done = BackgroundTask(folder.cleanup)
+            return FileResponse(path, headers=headers, media_type=kind, background=done)
+        pieces = (exports.keys if form == "keys" else exports.as_csv)(snapshot, chosen)
+        return StreamingResponse(pieces, headers=headers, media_type=kind)
 
     def thumbnail(self, request: Request) -> Response:
         environment = selection.number(request.query_params, "environment", 0, 0, 99)
@@ -229,6 +270,8 @@ def create(library: Library, thumbnails: Thumbnails, token: str | None, port: in
             get("/api/dataset", server.dataset),
             get("/api/shots", server.shots),
             get("/api/counts", server.counts),
+            get("/api/selection", server.selection),
+            get("/rows", server.rows),
             get("/thumbnail/{subset}/{shot}", server.thumbnail),
             get("/api/shot/{subset}/{shot}", server.shot),
             get("/pass/{subset}/{shot}/{pass}", server.picture),

@@ -8,12 +8,14 @@ const KEYS = [
   ["← ↑ → ↓", "move in the grid; previous and next shot; turn the light"],
   ["Enter", "open the shot"],
   ["1, 2, …", "pass of the shot"],
+  ["e", "take the selection along: Python, keys, CSV, Parquet"],
   ["Space", "play and pause a clip"],
   ["?", "show this list"],
 ];
 
 /**
  * Listens for keys. `callbacks`: `search()` focuses the SQL field, `close()` leaves the view,
+ * `take()` hands the selection on,
  * `view()` returns the open view or null. A view's `key(event)` returns whether it handled the key.
  */
 export function listen(help, callbacks) {
@@ -27,8 +29,8 @@ export function listen(help, callbacks) {
     button("Close", () => help.close()),
   );
   addEventListener("keydown", (event) => {
-    if (event.ctrlKey || event.metaKey || event.altKey || event.defaultPrevented || help.open)
-      return;
+    if (event.ctrlKey || event.metaKey || event.altKey || event.defaultPrevented) return;
+    if (document.querySelector("dialog[open]")) return;
     const field = event.target.closest?.("input, select, textarea");
     const writing = field && field.type !== "checkbox" && field.type !== "range";
     if (event.key === "Escape") {
@@ -39,6 +41,9 @@ export function listen(help, callbacks) {
     } else if (event.key === "/") {
       event.preventDefault();
       callbacks.search();
+    } else if (event.key === "e" && !callbacks.view()) {
+      event.preventDefault();
+      callbacks.take();
     } else if (event.key === "?") {
       help.showModal();
     } else if (field && event.key.startsWith("Arrow")) {

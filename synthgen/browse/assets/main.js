@@ -2,6 +2,7 @@
 
 import { askJson, query } from "./api.js";
 import { button, h, number } from "./dom.js";
+import { Export } from "./export.js";
 import { Facets } from "./facets.js";
 import { Grid } from "./grid.js";
 import { listen } from "./keyboard.js";
@@ -61,8 +62,10 @@ const grid = new Grid(byId("grid"), {
 const toolbar = new Toolbar(byId("bar"), byId("chips"), address, {
   resize: (size) => grid.resize(size),
   filters: (shown) => byId("page").classList.toggle("filtering", shown),
+  take: () => taking.open(),
   help: () => byId("help").showModal(),
 });
+const taking = new Export(byId("export"), address, () => grid.total);
 const facets = new Facets(byId("facets"), address, () => count());
 
 /** Counts and histograms of the selection, for the columns in open groups. */
@@ -179,6 +182,7 @@ async function start() {
   toolbar.build(dataset);
   facets.build(dataset.columns);
   listen(byId("help"), {
+    take: () => taking.open(),
     search: () => {
       address.close();
       toolbar.where.focus();

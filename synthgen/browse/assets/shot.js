@@ -1,7 +1,7 @@
 // One shot in full: its passes, light and metadata, and the way to its neighbours.
 
 import { askJson, path } from "./api.js";
-import { button, h, segments } from "./dom.js";
+import { button, command, h, segments } from "./dom.js";
 import { LightPanel } from "./light.js";
 import { members, metadata } from "./metadata.js";
 import { Overlay } from "./overlay.js";
@@ -205,29 +205,11 @@ export class ShotView {
   }
 
   reproduce() {
-    const copy = button(
-      "Copy",
-      async () => {
-        try {
-          await navigator.clipboard.writeText(this.shot.command);
-          copy.textContent = "Copied";
-        } catch {
-          // Without permission to use the clipboard, at least select the command.
-          getSelection().selectAllChildren(code);
-          copy.textContent = "Selected";
-        }
-        setTimeout(() => {
-          copy.textContent = "Copy";
-        }, 1500);
-      },
-      { label: "Copy the command that renders this shot again" },
-    );
-    const code = h("code", { text: this.shot.command });
     return h(
       "section",
       { class: "panel", "aria-label": "Reproduce" },
       h("h2", { text: "Render it again" }),
-      h("div", { class: "command" }, code, copy),
+      command(this.shot.command, "Copy the command that renders this shot again"),
     );
   }
 

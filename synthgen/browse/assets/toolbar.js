@@ -9,7 +9,7 @@ const SIZES = [
 ];
 
 export class Toolbar {
-  /** @param callbacks `resize(pixels)`, `filters(shown)`, `help()` */
+  /** @param callbacks `resize(pixels)`, `filters(shown)`, `take()`, `help()` */
   constructor(element, chips, address, callbacks) {
     Object.assign(this, { element, chips, address, callbacks });
   }
@@ -63,6 +63,7 @@ export class Toolbar {
         this.sort,
         this.direction,
         segments("Picture size", SIZES, 160, this.callbacks.resize),
+        button("Export", () => this.callbacks.take(), { label: "Take this selection along" }),
         button("?", () => this.callbacks.help(), { label: "Keyboard shortcuts" }),
       ),
     );

@@ -111,6 +111,31 @@ def test_an_sql_condition_and_a_wrong_one(browser_page: Any, browse_dataset: Pat
     total(page, SHOTS)
 
 
+def test_a_selection_is_taken_along(browser_page: Any, browse_dataset: Path):
+    page = browser_page
+    page.get_by_role("group", name="subset").locator(".value", has_text="video").get_by_role(
+        "checkbox"
+    ).check()
+    total(page, 6)
+    page.locator("#grid").focus()
+    page.keyboard.press("e")
+    line = page.locator(".ways code").first
+    line.wait_for()
+    chosen = eval(line.inner_text(), {"open_dataset": open_dataset})
+    assert len(chosen) == 6
+    page.context.grant_permissions(["clipboard-read", "clipboard-write"])
+    page.get_by_role("button", name="Copy the keys of all these shots").click()
+    page.get_by_text("Copied").wait_for()
+    assert page.evaluate("navigator.clipboard.readText()").split() == chosen.keys()
+    with page.expect_download() as download:
+        page.get_by_role("link", name="CSV").click()
+    assert Path(download.value.path()).read_text().count("\n") == 7
+    page_driver.screenshot(page, "export")
+    page.keyboard.press("Escape")
+    page.locator("#export").wait_for(state="hidden")
+    total(page, 6)
+
+
 def test_sorting_orders_the_grid_both_ways(browser_page: Any, browse_dataset: Path):
     page = browser_page
     page.get_by_label("Sort by").select_option("camera_yaw")

@@ -15,29 +15,21 @@ from typing import Any
 import fake_renderer
 import numpy as np
 import pytest
+from page_client import client, selected
 from PIL import Image
 from starlette.testclient import TestClient
 
 from assets_procedural.conventions.colour import srgb_decode
 from synthgen import cli
 from synthgen.browse import snapshot as snapshots
-from synthgen.browse.app import create
 from synthgen.browse.folder import Folder
 from synthgen.browse.snapshot import Library
-from synthgen.browse.thumbnails import Thumbnails
 from synthgen.dataset import Dataset, manifest, open_dataset
 from synthgen.dataset.codecs import decode_exr
 from synthgen.farm.local import render_job
 from synthgen.pictures.drawing import pictures
 
 SHOT = "multiview/s000002_p01"
-
-
-def client(out: Path, cache: Path, library: Library | None = None, **options: Any) -> TestClient:
-    """A client of a server over `out` with its thumbnails in `cache`."""
-    library = library or Library(Folder(out))
-    app = create(library, Thumbnails(cache, **options), token=None, port=0)
-    return TestClient(app, base_url="http://localhost")
 
 
 @pytest.fixture(scope="module")
@@ -54,18 +46,6 @@ def stored(small_dataset: Path) -> Dataset:
 def copy(small_dataset: Path, tmp_path: Path) -> Path:
     """A copy of the small dataset that a test may damage."""
     return shutil.copytree(small_dataset, tmp_path / "copy")
-
-
-def selected(ask: TestClient, **query: Any) -> list[str]:
-    """The keys of a selection, page by page."""
-    query = {k: v if isinstance(v, str) else json.dumps(v) for k, v in query.items()}
-    keys: list[str] = []
-    while True:
-        answer = ask.get("/api/shots", params=query | {"offset": len(keys), "limit": 3}).json()
-        keys += [f"{row['subset']}/{row['key']}" for row in answer["rows"]]
-        if len(keys) >= answer["total"]:
-            assert len(keys) == answer["total"]
-            return keys
 
 
 def array(answer: Any) -> np.ndarray:

@@ -1,0 +1,113 @@
+"""A selection to take along: as SQL for Python and the command line, as keys, CSV or Parquet."""
+
+from __future__ import annotations
+
+import csv
+import io
+import shlex
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from synthgen.browse.folder import Refused
+from synthgen.browse.selection import Selection
+from synthgen.browse.snapshot import Snapshot
+from synthgen.dataset.database import quoted
+from synthgen.dataset.manifest import Answer
+from synthgen.publish import answers
+
+MOST_PARQUET = 200_000
+"""Rows of a Parquet file, which is made on disk before it is sent; CSV has no limit."""
+_CHUNK = 5_000
+
+
+def describe(place: str, selection: Selection) -> dict[str, str]:
+    """What chooses the same shots elsewhere: `where`, a line of Python, a command.
+
+    `place` is the folder as the user may see it.
+    """
+    where = selection.sql()
+    arguments = f"{place!r}" + (f", where={where!r}" if where else "")
+    option = f" --where {_shell(where)}" if where else ""
+    return {
+        "where": where,
+        "python": f"open_dataset({arguments})",
+        "command": f"synthgen subset {_shell(place)}{option} --out NEW_DIR",
+    }
+
+
+def _shell(text: str) -> str:
+    """A word for a shell: in double quotes where they read better and are safe."""
+    return f'"{text}"' if "'" in text and not set(text) & set('"$`\\!') else shlex.quote(text)
+
+
+def keys(snapshot: Snapshot, selection: Selection) -> Iterator[bytes]:
+    """ "subset/key" of every shot on a line of its own, in the order of the selection."""
+    rows = _rows(snapshot, selection)
+    return (
+        "".join(f"{subset}/{key}\n" for subset, key, failed in chunk if not failed).encode()
+        for chunk in _chunks(snapshot, rows, ["subset", "key", "failed"])
+    )
+
+
+def as_csv(snapshot: Snapshot, selection: Selection) -> Iterator[bytes]:
+    """The rows with all columns of the page, as `synthgen query` writes them."""
+    names = list(snapshot.columns)
+    rows = _rows(snapshot, selection)
+
+    def pieces() -> Iterator[bytes]:
+        buffer = io.StringIO(newline="")
+        lines = csv.writer(buffer, lineterminator="\n")
+        lines.writerow(names)
+        for chunk in _chunks(snapshot, rows, names):
+            lines.writerows([answers.cell(v) for v in row] for row in chunk)
+            yield buffer.getvalue().encode(errors="backslashreplace")
+            buffer.seek(0)
+            buffer.truncate()
+
+    return pieces()
+
+
+def as_parquet(snapshot: Snapshot, selection: Selection) -> tempfile.TemporaryDirectory[str]:
+    """A temporary folder with the rows as `rows.parquet`; raises `Refused` for too many."""
+    rows = _rows(snapshot, selection)
+    if len(rows) > MOST_PARQUET:
+        raise Refused(
+            f"{len(rows):,} rows are more than the {MOST_PARQUET:,} of a Parquet file from here; "
+            "choose fewer, take CSV, or use synthgen query",
+            413,
+        )
+    kinds = dict(snapshot.sandbox.ask("SELECT column_name, column_type FROM (DESCRIBE manifest)"))
+    names = list(snapshot.columns)
+    answer = Answer(names, [str(kinds[n]) for n in names], _chunks(snapshot, rows, names))
+    folder = tempfile.TemporaryDirectory()
+    try:
+        answers.write(answer, "parquet", Path(folder.name) / "rows.parquet")
+    except BaseException:
+        folder.cleanup()
+        raise
+    return folder
+
+
+def _rows(snapshot: Snapshot, selection: Selection) -> np.ndarray:
+    if not snapshot.in_memory:
+        raise Refused("the dataset is being indexed; try again in a moment", 503)
+    condition, values = selection.condition()
+    return snapshot.matches.rows(condition, values, selection.order())
+
+
+def _chunks(
+    snapshot: Snapshot, rows: np.ndarray, names: list[str]
+) -> Iterator[list[tuple[Any, ...]]]:
+    columns = ", ".join(map(quoted, names))
+    for start in range(0, len(rows), _CHUNK):
+        wanted = rows[start : start + _CHUNK].tolist()
+        place = {number: i for i, number in enumerate(wanted)}
+        found = snapshot.sandbox.ask(
+            f"SELECT rowid, {columns} FROM manifest WHERE rowid IN (SELECT unnest(?::BIGINT[]))",
+            [wanted],
+        )
+        yield [row[1:] for row in sorted(found, key=lambda row: place[row[0]])]
