@@ -1,4 +1,4 @@
-"""The addresses that `synthgen browse` answers, all but one by GET.
+"""The addresses that `synthgen browse` answers, by GET where nothing else is said.
 
     /, /assets/…                                    the page
     /api/dataset                                    name, counts, columns, environments, revision
@@ -15,6 +15,7 @@
     /subject/{subset}/{subject}.glb                 the mesh
     /subject/{subset}/{subject}/expressions         numbers, see `subjects`
     /lightmaps/{environment}?height=                numbers, see `light`; POST /lightmaps of a file
+    /api/tags, /api/tags/undo                       see `tagging`
 
 A selection is what `selection` says. Numbers are raw and little-endian, their shape and type in
 X-Shape ("480,640,3") and X-Type. Errors are {"error": one line} with a 4xx status: 400 for a
@@ -28,6 +29,7 @@ import json
 import math
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -61,10 +63,13 @@ from synthgen.browse.folder import Folder, Refused, name
 from synthgen.browse.samples import Broken, Sample
 from synthgen.browse.sandbox import ROWS
 from synthgen.browse.security import Guard, plain_header
+from synthgen.browse.selection import Selection
 from synthgen.browse.snapshot import Library, Snapshot
+from synthgen.browse.tagging import Tagging
 from synthgen.browse.thumbnails import SIZES, Thumbnails
 from synthgen.browse.uploads import Uploads
 from synthgen.dataset.folder import StorageError
+from synthgen.dataset.tags import tags_folder
 
 _ASSETS = files("synthgen.browse") / "assets"
 _DOWNLOADS = {
@@ -89,8 +94,8 @@ class Answer(JSONResponse):
 class Server:
     """The handlers, with what they share: the folder, its snapshots, the cache of thumbnails."""
 
-    def __init__(self, library: Library, thumbnails: Thumbnails) -> None:
-        self.library, self.thumbnails = library, thumbnails
+    def __init__(self, library: Library, thumbnails: Thumbnails, tagging: Tagging) -> None:
+        self.library, self.thumbnails, self.tagging = library, thumbnails, tagging
         self.decoder, self.uploads = Decoder(), Uploads()
         self.folder: Folder = library.folder
 
@@ -101,31 +106,35 @@ class Server:
         return Answer(dataset.describe(self.library.snapshot()))
 
     def shots(self, request: Request) -> Response:
-        snapshot = self.library.snapshot()
-        chosen = selection.parse(request.query_params, snapshot)
+        snapshot, chosen = self._chosen(request)
         offset = selection.number(request.query_params, "offset", 0, 0, 10**9)
         limit = selection.number(request.query_params, "limit", 60, 0, ROWS)
         total, rows = shots.page(snapshot, chosen, offset, limit)
         health = samples.Health(self.folder)
         for row in rows:
             row["broken"] = health.reason(row)
+        self.tagging.mark(rows)
         self.library.answered()
         return Answer({"total": total, "rows": rows, "revision": snapshot.revision})
 
     def counts(self, request: Request) -> Response:
-        snapshot = self.library.snapshot()
-        chosen = selection.parse(request.query_params, snapshot)
+        snapshot, chosen = self._chosen(request)
         wanted = request.query_params.get("columns")
         names = None if wanted is None else [n for n in wanted.split(",") if n]
-        return Answer(counts.count(snapshot, chosen, names))
+        answer = counts.count(snapshot, chosen, names) | {"tags": []}
+        if snapshot.in_memory:
+            rows = replace(chosen, kept=None).rows(snapshot)
+            answer["tags"] = self.tagging.count(snapshot, rows)
+        return Answer(answer)
 
     def selection(self, request: Request) -> Response:
-        chosen = selection.parse(request.query_params, self.library.snapshot())
-        return Answer(exports.describe(str(self.folder.given), chosen))
+        _, chosen = self._chosen(request)
+        place = self.tagging.place
+        tags_in = None if place == tags_folder() else str(place)
+        return Answer(exports.describe(str(self.folder.given), chosen, tags_in))
 
     def rows(self, request: Request) -> Response:
-        snapshot = self.library.snapshot()
-        chosen = selection.parse(request.query_params, snapshot)
+        snapshot, chosen = self._chosen(request)
         form = request.query_params.get("format", "csv")
         if form not in _DOWNLOADS:
             raise Refused(f"format {form[:40]}: must be one of {', '.join(_DOWNLOADS)}", 400)
@@ -151,7 +160,9 @@ class Server:
 
     def shot(self, request: Request) -> Response:
         row, snapshot = self._row(request), self.library.snapshot()
-        return Answer(shot_page.describe(self.folder, snapshot, self.decoder, row))
+        answer = shot_page.describe(self.folder, snapshot, self.decoder, row)
+        self.tagging.mark([answer])
+        return Answer(answer)
 
     def picture(self, request: Request) -> Response:
         environment = selection.number(request.query_params, "environment", 0, 0, 99)
@@ -189,6 +200,15 @@ class Server:
         content = await self.uploads.read(request, light.LARGEST_UPLOAD)
         return _array(await run_in_threadpool(light.of_upload, content, height))
 
+    def tags(self, request: Request) -> Response:
+        return Answer(self.tagging.describe())
+
+    async def tag(self, request: Request) -> Response:
+        return Answer(await self.tagging.change(request, self.uploads))
+
+    async def undo_tag(self, request: Request) -> Response:
+        return Answer(await self.tagging.undo(request))
+
     def subject(self, request: Request) -> Response:
         return Answer(subjects.describe(*self._subject(request)))
 
@@ -198,6 +218,11 @@ class Server:
 
     def expressions(self, request: Request) -> Response:
         return _array(subjects.expressions(*self._subject(request)))
+
+    def _chosen(self, request: Request) -> tuple[Snapshot, Selection]:
+        snapshot = self.library.snapshot()
+        chosen = selection.parse(request.query_params, snapshot)
+        return snapshot, self.tagging.kept(snapshot, chosen)
 
     def _subject(self, request: Request) -> tuple[Folder, Snapshot, str, str]:
         subset = name(request.path_params["subset"], "subset")
@@ -257,9 +282,18 @@ def _broken(request: Request, error: Exception) -> Response:
     return Answer({"error": f"broken: {error}"}, 422, headers=reason)
 
 
-def create(library: Library, thumbnails: Thumbnails, token: str | None, port: int) -> Starlette:
-    """The application; `token` is asked of every request if given, `port` names its cookie."""
-    server = Server(library, thumbnails)
+def create(
+    library: Library,
+    thumbnails: Thumbnails,
+    token: str | None,
+    port: int,
+    tagging: Tagging | None = None,
+) -> Starlette:
+    """The application; `token` is asked of every request if given, `port` names its cookie.
+
+    Without `tagging`, the user's own tags are shown and none are changed.
+    """
+    server = Server(library, thumbnails, tagging or Tagging(library, tags_folder(), None))
 
     def get(path: str, handler: Callable[[Request], Response]) -> Route:
         return Route(path, handler, methods=["GET"])
@@ -279,6 +313,9 @@ def create(library: Library, thumbnails: Thumbnails, token: str | None, port: in
             get("/member/{subset}/{shot}/{name}", server.member),
             get("/lightmaps/{environment}", server.lightmaps),
             Route("/lightmaps", server.bake, methods=["POST"]),
+            get("/api/tags", server.tags),
+            Route("/api/tags", server.tag, methods=["POST"]),
+            Route("/api/tags/undo", server.undo_tag, methods=["POST"]),
             get("/api/subject/{subset}/{subject}", server.subject),
             get("/subject/{subset}/{subject}.glb", server.mesh),
             get("/subject/{subset}/{subject}/expressions", server.expressions),

@@ -28,9 +28,7 @@ def count(
     histograms: dict[str, Any] = {}
     constrained = selection.constrained()
     for column in _columns(snapshot, names):
-        own = column.name if column.name in constrained else ""
-        condition, values = selection.condition(without=own)
-        rows = None if condition == "true" else snapshot.matches.rows(condition, values)
+        rows = selection.rows(snapshot, column.name if column.name in constrained else "")
         coded = snapshot.codes.of(column)
         found = coded.count(rows).tolist()
         if column.kind == "range":
@@ -39,10 +37,8 @@ def count(
         else:
             pairs = [[plain(v), n] for v, n in zip(coded.values, found, strict=True) if n]
             facets[column.name] = sorted(pairs, key=lambda pair: -pair[1])
-    condition, values = selection.condition()
-    total = snapshot.shots + snapshot.failures
-    if condition != "true":
-        total = len(snapshot.matches.rows(condition, values))
+    rows = selection.rows(snapshot)
+    total = snapshot.shots + snapshot.failures if rows is None else len(rows)
     return {"total": total, "facets": facets, "histograms": histograms}
 
 

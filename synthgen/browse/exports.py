@@ -24,14 +24,21 @@ MOST_PARQUET = 200_000
 _CHUNK = 5_000
 
 
-def describe(place: str, selection: Selection) -> dict[str, str]:
+def describe(place: str, selection: Selection, tags_in: str | None = None) -> dict[str, str]:
     """What chooses the same shots elsewhere: `where`, a line of Python, a command.
 
-    `place` is the folder as the user may see it.
+    `place` is the folder as the user may see it, `tags_in` that of tags where it is another than
+    the user's own.
     """
     where = selection.sql()
     arguments = f"{place!r}" + (f", where={where!r}" if where else "")
     option = f" --where {_shell(where)}" if where else ""
+    if selection.tags:
+        arguments += f", tags={list(selection.tags)!r}"
+        option += f" --tags={','.join(selection.tags)}"
+    if selection.tags and tags_in is not None:
+        arguments += f", tags_in={tags_in!r}"
+        option += f" --tags-in {_shell(tags_in)}"
     return {
         "where": where,
         "python": f"open_dataset({arguments})",
@@ -46,23 +53,23 @@ def _shell(text: str) -> str:
 
 def keys(snapshot: Snapshot, selection: Selection) -> Iterator[bytes]:
     """ "subset/key" of every shot on a line of its own, in the order of the selection."""
-    rows = _rows(snapshot, selection)
+    chosen = rows(snapshot, selection)
     return (
         "".join(f"{subset}/{key}\n" for subset, key, failed in chunk if not failed).encode()
-        for chunk in _chunks(snapshot, rows, ["subset", "key", "failed"])
+        for chunk in _chunks(snapshot, chosen, ["subset", "key", "failed"])
     )
 
 
 def as_csv(snapshot: Snapshot, selection: Selection) -> Iterator[bytes]:
     """The rows with all columns of the page, as `synthgen query` writes them."""
     names = list(snapshot.columns)
-    rows = _rows(snapshot, selection)
+    chosen = rows(snapshot, selection)
 
     def pieces() -> Iterator[bytes]:
         buffer = io.StringIO(newline="")
         lines = csv.writer(buffer, lineterminator="\n")
         lines.writerow(names)
-        for chunk in _chunks(snapshot, rows, names):
+        for chunk in _chunks(snapshot, chosen, names):
             lines.writerows([answers.cell(v) for v in row] for row in chunk)
             yield buffer.getvalue().encode(errors="backslashreplace")
             buffer.seek(0)
@@ -73,16 +80,16 @@ def as_csv(snapshot: Snapshot, selection: Selection) -> Iterator[bytes]:
 
 def as_parquet(snapshot: Snapshot, selection: Selection) -> tempfile.TemporaryDirectory[str]:
     """A temporary folder with the rows as `rows.parquet`; raises `Refused` for too many."""
-    rows = _rows(snapshot, selection)
-    if len(rows) > MOST_PARQUET:
+    chosen = rows(snapshot, selection)
+    if len(chosen) > MOST_PARQUET:
         raise Refused(
-            f"{len(rows):,} rows are more than the {MOST_PARQUET:,} of a Parquet file from here; "
+            f"{len(chosen):,} rows are more than the {MOST_PARQUET:,} of a Parquet file from here; "
             "choose fewer, take CSV, or use synthgen query",
             413,
         )
     kinds = dict(snapshot.sandbox.ask("SELECT column_name, column_type FROM (DESCRIBE manifest)"))
     names = list(snapshot.columns)
-    answer = Answer(names, [str(kinds[n]) for n in names], _chunks(snapshot, rows, names))
+    answer = Answer(names, [str(kinds[n]) for n in names], _chunks(snapshot, chosen, names))
     folder = tempfile.TemporaryDirectory()
     try:
         answers.write(answer, "parquet", Path(folder.name) / "rows.parquet")
@@ -92,11 +99,12 @@ def as_parquet(snapshot: Snapshot, selection: Selection) -> tempfile.TemporaryDi
     return folder
 
 
-def _rows(snapshot: Snapshot, selection: Selection) -> np.ndarray:
+def rows(snapshot: Snapshot, selection: Selection) -> np.ndarray:
+    """The numbers of the rows in the order of the page; `Refused` while they have none."""
     if not snapshot.in_memory:
         raise Refused("the dataset is being indexed; try again in a moment", 503)
-    condition, values = selection.condition()
-    return snapshot.matches.rows(condition, values, selection.order())
+    found = selection.rows(snapshot, ordered=True)
+    return np.arange(snapshot.shots + snapshot.failures) if found is None else found
 
 
 def _chunks(

@@ -88,6 +88,11 @@ class Guard:
             and request.headers.get("sec-fetch-dest") == "document"
         ):
             return _error("requests from other sites are refused", 403)
+        # Older browsers do not say so, but whose page sends what changes something.
+        origin = request.headers.get("origin")
+        ours = origin is None or origin.split("://")[-1] == request.headers.get("host", "")
+        if request.method not in ("GET", "HEAD") and not ours:
+            return _error("requests from other sites are refused", 403)
         if self.token is None:
             return None
         given = request.query_params.get("token")

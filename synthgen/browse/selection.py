@@ -2,6 +2,7 @@
 
     facets={"subset": ["multiview"], "environments": ["city"]}  any of the values; null is a value
     ranges={"camera_yaw": [-0.5, 0.5], "cost_beauty": [10, null]}  ends included; null is open
+    tags=["star", "-reject"]  all of them; - for shots without
     where=person_age_years > 60 AND person_hair_style = 'bob'
     sort=person_age_years  descending=1
 
@@ -17,10 +18,14 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+
 from synthgen.browse.fields import Column
 from synthgen.browse.folder import Refused
 from synthgen.browse.snapshot import Snapshot
 from synthgen.dataset.database import literal, quoted
+from synthgen.dataset.folder import StorageError
+from synthgen.dataset.tags import bare
 
 _MOST = 500  # values of all facets together
 _FEW = 8
@@ -32,13 +37,32 @@ _OF_FAILURES = {"failed": False, "reason": None}  # columns of the page alone, a
 
 @dataclass(frozen=True)
 class Selection:
-    """Conditions by column, a checked SQL condition, and an order."""
+    """Conditions by column, a checked SQL condition, tags, and an order.
+
+    `kept` (N,) bool has the rows that `tags` leave, once `Tagging.kept` has looked at them.
+    """
 
     facets: dict[str, list[Any]] = field(default_factory=dict)
     ranges: dict[str, tuple[float | None, float | None]] = field(default_factory=dict)
     where: str = ""
     sort: str = ""
     descending: bool = False
+    tags: tuple[str, ...] = ()
+    kept: np.ndarray | None = field(default=None, compare=False)
+
+    def rows(
+        self, snapshot: Snapshot, without: str = "", ordered: bool = False
+    ) -> np.ndarray | None:
+        """(N,) numbers of the rows, in order if asked; None for all of them as stored.
+
+        `without` leaves one column's choice out.
+        """
+        condition, values = self.condition(without)
+        order = self.order() if ordered else ""
+        if condition == "true" and not order:
+            return None if self.kept is None else np.flatnonzero(self.kept)
+        found = snapshot.matches.rows(condition, values, order)
+        return found if self.kept is None else found[self.kept[found]]
 
     def condition(self, without: str = "") -> tuple[str, list[Any]]:
         """An SQL condition and the values bound to it; `without` leaves one column's choice out."""
@@ -105,7 +129,8 @@ def parse(query: Mapping[str, str], snapshot: Snapshot) -> Selection:
     sort = query.get("sort", "")
     if sort and _column(snapshot, sort, "sort").listed:
         raise Refused(f"sort: {sort} holds lists; sort by another column", 400)
-    return Selection(facets, ranges, where, sort, query.get("descending", "0") in ("1", "true"))
+    descending = query.get("descending", "0") in ("1", "true")
+    return Selection(facets, ranges, where, sort, descending, _tags(query))
 
 
 def number(query: Mapping[str, str], name: str, default: int, low: int, high: int) -> int:
@@ -148,6 +173,21 @@ def _literal(value: Any) -> str:
 
 class _Element(str):
     """A value that one of the elements of a list must have."""
+
+
+def _tags(query: Mapping[str, str]) -> tuple[str, ...]:
+    try:
+        found = json.loads(query.get("tags") or "[]")
+    except (ValueError, RecursionError):
+        found = None
+    if not isinstance(found, list) or not all(isinstance(tag, str) for tag in found):
+        raise Refused('tags: must be JSON such as ["star", "-reject"]', 400)
+    if len(found) > _FEW:
+        raise Refused(f"tags: more than {_FEW} at once", 400)
+    try:
+        return tuple(dict.fromkeys(tag for tag in found if bare(tag)))
+    except StorageError as error:
+        raise Refused(str(error), 400) from None
 
 
 def _column(snapshot: Snapshot, name: str, where: str) -> Column:

@@ -14,7 +14,9 @@ from synthgen.browse.app import create
 from synthgen.browse.folder import Folder
 from synthgen.browse.security import is_loopback, new_token
 from synthgen.browse.snapshot import Library, threads
+from synthgen.browse.tagging import Tagging
 from synthgen.browse.thumbnails import Thumbnails
+from synthgen.dataset.tags import tags_folder
 from synthgen.errors import JobError
 
 HEADER_SECONDS = 20.0
@@ -86,12 +88,18 @@ def serve(
     cache_megabytes: int,
     say: Callable[[str], None],
     ready: Callable[[str], None] = lambda address: None,
+    tags_in: Path | None = None,
+    person: str | None = None,
 ) -> None:
     """Serve a dataset until interrupted. `say` gets lines for the user, `ready` the address.
+
+    `person` gives tags, which are kept in `tags_in` or the user's own folder; without one they
+    are only shown.
 
     Raises `StorageError` if `out` is no dataset, `JobError` if the address cannot be had.
     """
     library = Library(Folder(out), threads())
+    tagging = Tagging(library, tags_in or tags_folder(), person)
     token = None if is_loopback(host) else new_token()
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
@@ -102,7 +110,7 @@ def serve(
     port = listening.getsockname()[1]
     shown = f"[{host}]" if ":" in host else host
     address = f"http://{shown}:{port}/" + (f"?token={token}" if token else "")
-    app = create(library, Thumbnails(limit=cache_megabytes << 20), token, port)
+    app = create(library, Thumbnails(limit=cache_megabytes << 20), token, port, tagging)
     say(f"{out}: {address} (Ctrl+C to stop)")
     if token:
         say("anyone with this address, token included, can see the dataset")

@@ -1,7 +1,8 @@
 // One cell of the grid: a shot's thumbnail and caption, or why there is none.
 
 import { ask, path, query } from "./api.js";
-import { h } from "./dom.js";
+import { button, h } from "./dom.js";
+import { badges } from "./tags.js";
 
 /** Height of a caption and gap between cells, in pixels. */
 export const CAPTION = 22;
@@ -14,6 +15,9 @@ export class Cell {
     this.image = h("img", { alt: "", draggable: "false" });
     this.text = h("span", { class: "words" });
     this.value = h("span", { class: "sorted" });
+    this.pick = button("", (event) => this.picked(event), { label: "Pick", class: "pickbox" });
+    this.pick.tabIndex = -1;
+    this.badges = h("span", { class: "badges" });
     this.element = h(
       "a",
       {
@@ -26,12 +30,23 @@ export class Cell {
       },
       h("span", { class: "picture" }, this.image),
       h("span", { class: "caption" }, this.text, this.value),
+      this.badges,
+      this.pick,
     );
   }
 
+  picked(event) {
+    event.preventDefault();
+    event.stopPropagation();
+    if (!this.row) return;
+    this.grid.active = this.index;
+    this.grid.callbacks.pick(this.row, this.index, event.shiftKey);
+  }
+
   clicked(event) {
+    if (event.shiftKey) return this.picked(event);
     // With a modifier the browser opens a new tab.
-    if (event.ctrlKey || event.metaKey || event.shiftKey || !this.row) return;
+    if (event.ctrlKey || event.metaKey || !this.row) return;
     event.preventDefault();
     this.grid.active = this.index;
     this.grid.callbacks.open(this.row, this.index);
@@ -57,6 +72,21 @@ export class Cell {
     this.text.textContent = text;
     this.value.textContent = value;
     this.load();
+    this.mark();
+  }
+
+  /** Shows the row's tags, and whether it is picked. */
+  mark() {
+    if (!this.row) return;
+    const { tags = [] } = this.row;
+    const picked = this.grid.callbacks.picked(this.row);
+    this.element.classList.toggle("picked", picked);
+    this.element.classList.toggle("rejected", tags.includes("reject"));
+    this.pick.setAttribute("aria-pressed", String(picked));
+    this.badges.replaceChildren(...badges(tags));
+    const { label } = this.grid.callbacks.caption(this.row);
+    const said = [label, ...tags, picked ? "picked" : null].filter(Boolean).join(", ");
+    if (!this.element.classList.contains("broken")) this.element.setAttribute("aria-label", said);
   }
 
   async load() {

@@ -3,6 +3,7 @@
 
 import { h, number } from "./dom.js";
 import { Histogram } from "./histogram.js";
+import { TagFilter } from "./tags.js";
 
 const SHOWN = 8;
 const OPEN = 1; // groups that are open initially
@@ -15,6 +16,7 @@ export class Facets {
     this.onopen = onopen;
     this.parts = new Map();
     this.groups = [];
+    this.tags = new TagFilter(address);
   }
 
   /** Builds the filters of a dataset's columns. */
@@ -41,7 +43,11 @@ export class Facets {
       return { details, members };
     });
     this.problem = h("p", { class: "problem", role: "alert", hidden: true });
-    this.element.replaceChildren(this.problem, ...this.groups.map((group) => group.details));
+    this.element.replaceChildren(
+      this.problem,
+      this.tags.element,
+      ...this.groups.map((group) => group.details),
+    );
   }
 
   part(column) {
@@ -77,6 +83,7 @@ export class Facets {
   show(counts) {
     this.problem.hidden = true;
     this.element.classList.remove("stale");
+    this.tags.show(counts.tags);
     const { facets, ranges } = this.address.selection;
     for (const [name, values] of Object.entries(counts.facets)) {
       const chosen = facets[name] ?? [];

@@ -8,6 +8,9 @@ const KEYS = [
   ["← ↑ → ↓", "move in the grid; previous and next shot; turn the light"],
   ["Enter", "open the shot"],
   ["1, 2, …", "pass of the shot"],
+  ["x", "pick a shot; Shift and a click pick all up to it"],
+  ["s, r, t", "star, reject or tag what is picked, else the current shot"],
+  ["u", "undo the last change of tags"],
   ["e", "take the selection along: Python, keys, CSV, Parquet"],
   ["Space", "play and pause a clip"],
   ["?", "show this list"],
@@ -15,7 +18,7 @@ const KEYS = [
 
 /**
  * Listens for keys. `callbacks`: `search()` focuses the SQL field, `close()` leaves the view,
- * `take()` hands the selection on,
+ * `take()` hands the selection on, `tag(key)` returns whether a key was one of tags,
  * `view()` returns the open view or null. A view's `key(event)` returns whether it handled the key.
  */
 export function listen(help, callbacks) {
@@ -44,6 +47,8 @@ export function listen(help, callbacks) {
     } else if (event.key === "e" && !callbacks.view()) {
       event.preventDefault();
       callbacks.take();
+    } else if (callbacks.tag(event.key)) {
+      event.preventDefault();
     } else if (event.key === "?") {
       help.showModal();
     } else if (field && event.key.startsWith("Arrow")) {

@@ -10,6 +10,7 @@ import { Player } from "./player.js";
 import { Address, parameters } from "./selection.js";
 import { ShotView } from "./shot.js";
 import { SubjectView } from "./subject.js";
+import { Tags } from "./tags.js";
 import { Toolbar } from "./toolbar.js";
 
 const GROWING = 5000; // milliseconds between checks of a dataset that is being rendered
@@ -41,6 +42,8 @@ const grid = new Grid(byId("grid"), {
     const value = sort && sort !== "key" ? number(row[sort] ?? "none") : "";
     return { text: row.key, value, label: `${row.subset}/${row.key}${age}` };
   },
+  picked: (row) => tags.has(row),
+  pick: (row, index, range) => tags.pick(row, index, range),
   revision: () => dataset.revision,
   counted: (total) => {
     toolbar.count(total, dataset.shots);
@@ -66,6 +69,15 @@ const toolbar = new Toolbar(byId("bar"), byId("chips"), address, {
   help: () => byId("help").showModal(),
 });
 const taking = new Export(byId("export"), address, () => grid.total);
+const tags = new Tags(byId("marks"), byId("tag"), address, {
+  grid,
+  current: () => (view ? (view.shot ?? null) : (grid.known(grid.active) ?? null)),
+  changed: (all) => {
+    if (all || address.selection.tags.length) grid.refresh();
+    view?.marked?.(all);
+    count();
+  },
+});
 const facets = new Facets(byId("facets"), address, () => count());
 
 /** Counts and histograms of the selection, for the columns in open groups. */
@@ -73,7 +85,6 @@ async function count() {
   counting?.abort();
   counting = new AbortController();
   const columns = facets.wanted();
-  if (!columns.length) return;
   try {
     facets.show(
       await askJson(
@@ -89,6 +100,7 @@ async function count() {
 
 function select() {
   toolbar.show();
+  tags.clear();
   grid.reset();
   count();
 }
@@ -97,6 +109,7 @@ function select() {
 function open() {
   view?.close();
   view = null;
+  tags.show();
   const { name, subset, id } = address.view;
   const place = byId("view");
   const inGrid = name === "grid";
@@ -131,7 +144,7 @@ function open() {
     );
   if (name === "shot") {
     const neighbour = (index) => grid.row(index);
-    view = new ShotView(place, address, dataset, neighbour, fail);
+    view = new ShotView(place, address, dataset, neighbour, tags, fail);
     const at = Number(address.view.options.at);
     if (Number.isInteger(at)) grid.active = at;
   } else if (name === "subject") view = new SubjectView(place, address, fail);
@@ -183,6 +196,7 @@ async function start() {
   facets.build(dataset.columns);
   listen(byId("help"), {
     take: () => taking.open(),
+    tag: (key) => tags.key(key),
     search: () => {
       address.close();
       toolbar.where.focus();
@@ -194,6 +208,7 @@ async function start() {
     },
     view: () => view,
   });
+  tags.load().catch((error) => tags.say(error.message));
   address.addEventListener("selection", select);
   address.addEventListener("view", open);
   select();

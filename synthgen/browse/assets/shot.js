@@ -6,15 +6,17 @@ import { LightPanel } from "./light.js";
 import { members, metadata } from "./metadata.js";
 import { Overlay } from "./overlay.js";
 import { PassView } from "./passes.js";
+import { badges } from "./tags.js";
 
 export class ShotView {
   /**
    * @param address the page's `Address`, showing a view `shot`
    * @param dataset the server's description of the dataset
    * @param neighbour `neighbour(index)` resolves to the row at an index of the selection, or null
+   * @param tags the page's `Tags`
    */
-  constructor(element, address, dataset, neighbour, fail) {
-    Object.assign(this, { element, address, dataset, neighbour });
+  constructor(element, address, dataset, neighbour, tags, fail) {
+    Object.assign(this, { element, address, dataset, neighbour, tags });
     this.closed = false;
     this.start().catch((error) => {
       if (!this.closed) fail(error);
@@ -68,6 +70,8 @@ export class ShotView {
   }
 
   header(subset, id, subject) {
+    this.badges = h("span", { class: "badges" });
+    this.marked();
     this.previous = button("←", () => this.step(-1), { label: "Previous shot in the selection" });
     this.next = button("→", () => this.step(1), { label: "Next shot in the selection" });
     this.previous.disabled = this.next.disabled = this.at === null;
@@ -78,12 +82,24 @@ export class ShotView {
       h("h1", { text: `${subset}/${id}` }),
       this.previous,
       this.next,
+      this.badges,
       h("span", { class: "spring" }),
+      h("span", { class: "row tagging" }, ...this.tags.buttons()),
       button("Subject in 3D", () => this.address.show("subject", subset, subject)),
       button("Play", () =>
         this.address.show("play", subset, subject, { environment: String(this.environment ?? 0) }),
       ),
     );
+  }
+
+  /** Shows the shot's tags, which have changed; `unknown` if the server must say which it has. */
+  async marked(unknown = false) {
+    if (unknown) {
+      const { subset, key } = this.shot;
+      const now = await askJson(path("api", "shot", subset, key));
+      Object.assign(this.shot, { tags: now.tags, mine: now.mine });
+    }
+    this.badges.replaceChildren(...badges(this.shot.tags));
   }
 
   broken(reason) {

@@ -93,7 +93,7 @@ export class Toolbar {
 
   /** Shows the selection: condition, order and a chip per filter. */
   show() {
-    const { where, sort, descending, facets, ranges } = this.address.selection;
+    const { where, sort, descending, facets, ranges, tags } = this.address.selection;
     if (document.activeElement !== this.where) this.where.value = where;
     this.sort.value = sort;
     this.direction.textContent = descending ? "↓" : "↑";
@@ -113,6 +113,11 @@ export class Toolbar {
         () => this.address.setRange(name, null, null),
       ]),
     ];
+    for (const tag of tags)
+      chips.push([
+        tag.startsWith("-") ? `without ${tag.slice(1)}` : `tagged ${tag}`,
+        () => this.address.select({ tags: tags.filter((other) => other !== tag) }),
+      ]);
     if (where)
       chips.push([
         where,
@@ -126,7 +131,7 @@ export class Toolbar {
       "Clear all",
       () => {
         this.where.value = "";
-        this.address.select({ facets: {}, ranges: {}, where: "" });
+        this.address.select({ facets: {}, ranges: {}, where: "", tags: [] });
       },
       { class: "clear" },
     );
