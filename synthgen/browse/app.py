@@ -3,7 +3,7 @@
     /, /assets/…                                    the page
     /api/dataset                                    name, counts, columns, environments, revision
     /api/shots?<selection>&offset=&limit=           a page of rows, and how many there are
-    /api/counts?<selection>&columns=                facets and histograms, of all columns or some
+    /api/counts?<selection>&columns=&pairs=         facets and histograms, of all columns or some
     /api/selection?<selection>                      SQL, Python and command that choose the same
     /rows?<selection>&format=                       keys, csv or parquet of a selection, a download
     /api/shot/{subset}/{shot}                       metadata, members, siblings, command, broken
@@ -122,6 +122,8 @@ class Server:
         wanted = request.query_params.get("columns")
         names = None if wanted is None else [n for n in wanted.split(",") if n]
         answer = counts.count(snapshot, chosen, names) | {"tags": []}
+        wanted = request.query_params.get("pairs", "").split(",")[:8]
+        answer["pairs"] = counts.pairs(snapshot, chosen, [pair for pair in wanted if ":" in pair])
         if snapshot.in_memory:
             rows = replace(chosen, kept=None).rows(snapshot)
             answer["tags"] = self.tagging.count(snapshot, rows)

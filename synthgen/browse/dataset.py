@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from assets_procedural.motion.poses import ARKIT_NAMES
-from synthgen.browse.fields import GRID
+from synthgen.browse.fields import GRID, ordered
 from synthgen.browse.snapshot import Snapshot
 from synthgen.dataset.passes import PASSES, Pass
 from synthgen.pictures.drawing import PALETTE
@@ -33,7 +33,7 @@ def describe(snapshot: Snapshot) -> dict[str, Any]:
         "frames": snapshot.frames,
         "failures": snapshot.failures,
         "plan": info["plan"],
-        "columns": [c.to_json() for c in snapshot.columns.values()],
+        "columns": [c.to_json() for c in ordered(snapshot.columns.values())],
         "grid": [n for n in GRID if n in snapshot.columns],
         "environments": [
             {k: str(e.get(k, "")) for k in ("id", "kind", "source", "author", "licence")}

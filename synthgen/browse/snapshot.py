@@ -14,7 +14,7 @@ import hashlib
 import os
 import threading
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +26,7 @@ from synthgen.browse.fields import LEFT_OUT, Column, column
 from synthgen.browse.folder import Folder, Refused
 from synthgen.browse.matches import Matches
 from synthgen.browse.sandbox import Sandbox
-from synthgen.dataset import ledger, manifest
+from synthgen.dataset import ledger, lights, manifest
 from synthgen.dataset.columns import IDENTITY, PLACE, schema_of
 from synthgen.dataset.database import quoted
 from synthgen.dataset.folder import NAME, StorageError
@@ -173,7 +173,8 @@ def _read(folder: Folder, sandbox: Sandbox, in_memory: bool) -> Snapshot:
         raise Refused(f"lists {rows:,} shots; at most {manifest.MOST_SHOTS:,} are read")
     described = run(f"DESCRIBE SELECT * FROM {source}").fetchall()
     kept = [n for n, *_ in described if n not in LEFT_OUT | {"failed", "reason"}]
-    names = ", ".join(quoted(n) for n in kept)
+    lit = lights.columns(info.get("environments"), {n: kind for n, kind, *_ in described})
+    names = ", ".join([*map(quoted, kept), *(f"{sql} AS {n}" for n, sql in lit.items())])
     failures = _failures(folder, info, sandbox)
     body = (
         f"SELECT {names}, false AS failed, NULL::VARCHAR AS reason FROM {source} "
@@ -184,6 +185,8 @@ def _read(folder: Folder, sandbox: Sandbox, in_memory: bool) -> Snapshot:
         run("DROP TABLE IF EXISTS waiting")
     sandbox.lock([] if in_memory else files)
     columns = {n: column(n, kind) for n, kind, *_ in run("DESCRIBE manifest").fetchall()}
+    if in_memory:
+        columns = _without_constants(sandbox, columns)
     ((shots, frames),) = sandbox.ask(
         "SELECT count(*), coalesce(sum(len(environments)), 0) FROM manifest WHERE NOT failed"
     )
@@ -199,6 +202,22 @@ def _read(folder: Folder, sandbox: Sandbox, in_memory: bool) -> Snapshot:
         Matches(sandbox, in_memory),
         Codes(sandbox),
     )
+
+
+def _without_constants(sandbox: Sandbox, columns: dict[str, Column]) -> dict[str, Column]:
+    """The columns, those marked that have one value throughout: no filter would change anything."""
+    asked = [name for name, c in columns.items() if c.kind in ("facet", "range") and not c.listed]
+    shots = "FILTER (WHERE NOT failed)"
+    terms = [
+        f"count({name}) {shots} = 0 OR (min({name}) {shots} IS NOT DISTINCT FROM max({name}) "
+        f"{shots} AND count({name}) {shots} = count(*) {shots})"
+        for name in map(quoted, asked)
+    ]
+    if not terms:
+        return columns
+    (found,) = sandbox.ask(f"SELECT {', '.join(terms)} FROM manifest")
+    constant = {name for name, one in zip(asked, found, strict=True) if one} - {"failed"}
+    return {n: replace(c, constant=n in constant) for n, c in columns.items()}
 
 
 def _parquet(folder: Folder, info: dict[str, Any], subset: str) -> list[Path]:

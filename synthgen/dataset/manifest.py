@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from assets_procedural.conventions.errors import one_line
 from assets_procedural.conventions.files import read_regular, replacing
-from synthgen.dataset import database, ledger
+from synthgen.dataset import database, ledger, lights
 from synthgen.dataset.codecs import encode_json
 from synthgen.dataset.columns import misfits, schema, schema_of
 from synthgen.dataset.folder import DamageError, DatasetFolder, Place, StorageError
@@ -229,7 +229,7 @@ def _create_views(
             fill(connection, f"waiting {number}", schema_of(rows), rows)
             sources.append(f"SELECT * FROM {database.quoted(f'waiting {number}')}")
         if sources:
-            source = " UNION ALL BY NAME ".join(sources)
+            source = _with_light(connection, " UNION ALL BY NAME ".join(sources), info)
             views.append(source)
             if subset.casefold() not in known:
                 known.add(subset.casefold())
@@ -240,6 +240,14 @@ def _create_views(
     ((shots,),) = connection.execute("SELECT count(*) FROM manifest").fetchall()
     if shots > MOST_SHOTS:
         raise StorageError(f"{folder}: lists {shots:,} shots; at most {MOST_SHOTS:,} are read")
+
+
+def _with_light(connection: duckdb.DuckDBPyConnection, source: str, info: Description) -> str:
+    """A query of rows, and what `lights` adds to them."""
+    described = connection.execute(f"DESCRIBE {source}").fetchall()
+    lit = lights.columns(info.environments, {name: kind for name, kind, *_ in described})
+    added = "".join(f", {sql} AS {name}" for name, sql in lit.items())
+    return f"SELECT *{added} FROM ({source})" if lit else source
 
 
 def _waiting_rows(folder: DatasetFolder, subset: str, keys: list[str]) -> list[dict[str, Any]]:

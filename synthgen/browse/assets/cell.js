@@ -14,6 +14,7 @@ export class Cell {
     this.index = index;
     this.image = h("img", { alt: "", draggable: "false" });
     this.text = h("span", { class: "words" });
+    this.from = h("span", { class: "from" });
     this.value = h("span", { class: "sorted" });
     this.pick = button("", (event) => this.picked(event), { label: "Pick", class: "pickbox" });
     this.pick.tabIndex = -1;
@@ -29,7 +30,7 @@ export class Cell {
         onclick: (event) => this.clicked(event),
       },
       h("span", { class: "picture" }, this.image),
-      h("span", { class: "caption" }, this.text, this.value),
+      h("span", { class: "caption" }, this.text, this.from, this.value),
       this.badges,
       this.pick,
     );
@@ -67,7 +68,8 @@ export class Cell {
     this.row = row;
     const { callbacks } = this.grid;
     this.element.setAttribute("href", callbacks.href(row, this.index));
-    const { label, text, value } = callbacks.caption(row);
+    const { label, text, from, value } = callbacks.caption(row);
+    this.from.textContent = from;
     this.element.setAttribute("aria-label", label);
     this.text.textContent = text;
     this.value.textContent = value;

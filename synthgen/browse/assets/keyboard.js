@@ -8,6 +8,7 @@ const KEYS = [
   ["← ↑ → ↓", "move in the grid; previous and next shot; turn the light"],
   ["Enter", "open the shot"],
   ["1, 2, …", "pass of the shot"],
+  ["+, -, 0", "magnify the pictures of a shot; Ctrl and the wheel, then drag, do it too"],
   ["x", "pick a shot; Shift and a click pick all up to it"],
   ["s, r, t", "star, reject or tag what is picked, else the current shot"],
   ["u", "undo the last change of tags"],

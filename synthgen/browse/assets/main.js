@@ -3,7 +3,7 @@
 import { askJson, query } from "./api.js";
 import { button, h, number } from "./dom.js";
 import { Export } from "./export.js";
-import { Facets } from "./facets.js";
+import { Facets, said } from "./facets.js";
 import { Grid } from "./grid.js";
 import { listen } from "./keyboard.js";
 import { Player } from "./player.js";
@@ -39,8 +39,12 @@ const grid = new Grid(byId("grid"), {
   caption: (row) => {
     const age = row.person_age_years ? `, ${Math.round(row.person_age_years)} years` : "";
     const { sort } = address.selection;
-    const value = sort && sort !== "key" ? number(row[sort] ?? "none") : "";
-    return { text: row.key, value, label: `${row.subset}/${row.key}${age}` };
+    const column = dataset.columns.find(({ name }) => name === sort);
+    const found = row[sort] ?? null;
+    const shown = typeof found === "number" ? number(found) : said(found, column);
+    const value = sort && sort !== "key" ? shown : "";
+    const from = Object.keys(dataset.plan).length > 1 ? row.subset : "";
+    return { text: row.key, from, value, label: `${row.subset}/${row.key}${age}` };
   },
   picked: (row) => tags.has(row),
   pick: (row, index, range) => tags.pick(row, index, range),
@@ -88,7 +92,12 @@ async function count() {
   try {
     facets.show(
       await askJson(
-        "/api/counts" + query({ ...parameters(address.selection), columns: columns.join(",") }),
+        "/api/counts" +
+          query({
+            ...parameters(address.selection),
+            columns: columns.join(","),
+            pairs: facets.pairs().join(","),
+          }),
         { signal: counting.signal },
       ),
     );
@@ -156,7 +165,9 @@ async function watch() {
   try {
     const now = await askJson("/api/dataset");
     const grown = now.revision !== dataset.revision;
+    const columns = JSON.stringify(dataset.columns);
     dataset = { ...now };
+    if (JSON.stringify(dataset.columns) !== columns) facets.build(dataset.columns);
     toolbar.state.textContent = state(now);
     if (grown) {
       grid.refresh();

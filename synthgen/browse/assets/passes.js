@@ -2,6 +2,7 @@
 
 import { askArray, path, query } from "./api.js";
 import { h } from "./dom.js";
+import { Zoom } from "./zoom.js";
 
 export class PassView {
   /**
@@ -21,6 +22,10 @@ export class PassView {
     this.readout = h("dl", { class: "readout", "aria-label": "Values under the pointer" });
     this.legend = h("ul", { class: "legend", hidden: true, "aria-label": "Parts" });
     this.element = h("div", { class: "passes" }, this.figures, this.legend, this.readout);
+    this.zoom = new Zoom(this.figures, () => {
+      clearTimeout(this.still);
+      this.still = setTimeout(() => this.redraw(), 120);
+    });
     this.resizing = new ResizeObserver(() => this.redraw());
     this.resizing.observe(this.figures);
     this.idle();
@@ -64,8 +69,12 @@ export class PassView {
           onpointerdown: (event) => this.read(event, image, e),
           onpointerleave: () => this.idle(),
         },
-        image,
-        h("canvas", { class: "overlay", "aria-hidden": "true" }),
+        h(
+          "div",
+          { class: "magnified" },
+          image,
+          h("canvas", { class: "overlay", "aria-hidden": "true" }),
+        ),
       ),
       pass === "image" ? this.caption(use, e, many) : null,
     );
@@ -208,6 +217,7 @@ export class PassView {
 
   close() {
     this.resizing.disconnect();
+    clearTimeout(this.still);
     this.again = null;
   }
 }

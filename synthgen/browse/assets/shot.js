@@ -240,7 +240,10 @@ export class ShotView {
   key(event) {
     const step = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
     const number = /^[1-9]$/.test(event.key) ? Number(event.key) : 0;
+    const zoom = { "+": 1.5, "=": 1.5, "-": 1 / 1.5 }[event.key];
     if (step) this.step(step);
+    else if (zoom) this.pictures?.zoom.by(zoom);
+    else if (event.key === "0") this.pictures?.zoom.set(1, 0, 0);
     else if (number && this.passes?.[number - 1]) this.show(this.passes[number - 1]);
     else return false;
     return true;

@@ -1,6 +1,8 @@
 // The toolbar above the grid: the dataset's name, the SQL condition, the order, the active filters.
 
+import { Completion } from "./complete.js";
 import { button, h, number, segments } from "./dom.js";
+import { said } from "./facets.js";
 
 const SIZES = [
   [110, "S"],
@@ -35,6 +37,7 @@ export class Toolbar {
         if (where !== this.address.selection.where) this.address.select({ where });
       },
     });
+    this.completion = new Completion(this.where, dataset.columns);
     this.problem = h("p", { class: "problem", id: "where-problem", role: "alert", hidden: true });
     this.sort = h(
       "select",
@@ -54,6 +57,7 @@ export class Toolbar {
         h("span", { class: "prompt", "aria-hidden": "true", text: "WHERE" }),
         this.where,
         h("kbd", { text: "/", "aria-hidden": "true" }),
+        this.completion.list,
         this.problem,
       ),
       h(
@@ -105,7 +109,7 @@ export class Toolbar {
     this.direction.disabled = !sort;
     const chips = [
       ...Object.entries(facets).map(([name, values]) => [
-        `${this.label(name)}: ${values.map((v) => v ?? "none").join(", ")}`,
+        `${this.label(name)}: ${values.map((v) => said(v, this.columns.get(name))).join(", ")}`,
         () => this.address.setFacet(name, []),
       ]),
       ...Object.entries(ranges).map(([name, [low, high]]) => [
@@ -149,8 +153,7 @@ export class Toolbar {
   }
 
   label(name) {
-    const { label, group } = this.columns.get(name) ?? { label: name };
-    return group === "dataset" || !group ? label : `${group} ${label}`;
+    return this.columns.get(name)?.title || name;
   }
 
   count(total, of) {

@@ -249,7 +249,8 @@ def test_histograms_hold_every_value_between_their_edges(ask: TestClient, small_
         ({"offset": "-1"}, "offset = -1: give a whole number from 0 to 1000000000"),
         (
             {"where": "nose > 3"},
-            'where: Binder Error: Referenced column "nose" not found in FROM clause!',
+            'where: Binder Error: Referenced column "nose" not found in FROM clause! Candidate '
+            'bindings: "pose", "offset", "cost_beauty", "index", "person_asian"',
         ),
     ],
 )
@@ -551,3 +552,45 @@ def test_without_the_extra_the_command_names_it(
     monkeypatch.delitem(sys.modules, "synthgen.browse.serve", raising=False)
     answer = run_main(cli.main, "browse", small_dataset)
     assert "pip install 'totalediting[browse]'" in answer.error
+
+
+# ---------------------------------------------------------------- columns
+
+
+def test_columns_come_in_a_researchers_order_with_words(ask: TestClient):
+    columns = ask.get("/api/dataset").json()["columns"]
+    groups = list(dict.fromkeys(c["group"] for c in columns))
+    assert groups[:5] == ["people", "light", "camera", "head", "expression"]
+    assert groups[-1] == "other"
+    by_name = {c["name"]: c for c in columns}
+    assert [c["name"] for c in columns[:2]] == ["person_sex", "person_age_years"]
+    assert by_name["width"]["constant"] and not by_name["head_yaw"]["constant"]
+    assert by_name["person_ancestry"]["words"] and not by_name["environments"]["words"]
+    assert by_name["gaze_yaw"]["label"] == "gaze yaw"
+    assert by_name["camera_yaw"]["title"] == "camera yaw"
+    assert by_name["expression_browDownLeft"]["label"] == "brow down left"
+
+
+def test_pairs_count_where_both_columns_are(ask: TestClient, small_dataset: Path):
+    asked = {"pairs": "camera_yaw:camera_pitch", "columns": "", "where": "subset = 'multiview'"}
+    (pair,) = ask.get("/api/counts", params=asked).json()["pairs"]
+    wide, high = len(pair["x_edges"]) - 1, len(pair["y_edges"]) - 1
+    grid = np.array(pair["counts"]).reshape(high, wide)
+    rows = manifest.query(
+        small_dataset, "SELECT camera_yaw, camera_pitch FROM manifest WHERE subset = 'multiview'"
+    ).rows
+    x, y = np.array(rows).T
+    expected, *_ = np.histogram2d(y, x, [pair["y_edges"], pair["x_edges"]])
+    assert grid.sum() == 10 and np.abs(grid - expected).sum() <= 2  # edges are floats
+    # Its own choice is left out, as that of a facet is.
+    ranges = json.dumps({"camera_yaw": [0, 0]})
+    (same,) = ask.get("/api/counts", params=asked | {"ranges": ranges}).json()["pairs"]
+    assert same["counts"] == pair["counts"]
+    answer = ask.get("/api/counts", params={"pairs": "subset:camera_yaw"})
+    assert answer.status_code == 400 and "columns of numbers" in answer.json()["error"]
+
+
+def test_a_wrong_name_is_answered_with_those_that_are_near(ask: TestClient):
+    answer = ask.get("/api/shots", params={"where": "person_age_year > 3"})
+    assert answer.status_code == 400
+    assert "person_age_years" in answer.json()["error"] and "\n" not in answer.json()["error"]
