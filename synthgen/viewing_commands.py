@@ -264,6 +264,10 @@ def browse(
     read_only: Annotated[
         bool, typer.Option("--read-only", help="Show tags, and let nobody change them.")
     ] = False,
+    public: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="Read-only, for everybody, behind a proxy of this host."),
+    ] = None,
 ) -> None:
     """Serve a dataset as a web page: search it, tag it, look at every pass, move the light."""
     from synthgen.browse.serve import serve
@@ -276,4 +280,4 @@ def browse(
             webbrowser.open(address)
 
     name = None if read_only else person or user()
-    serve(out, host, port, cache, console.say, ready, tags_in, name)
+    serve(out, host, port, cache, console.say, ready, tags_in, name, public)

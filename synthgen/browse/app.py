@@ -60,6 +60,7 @@ from synthgen.browse import (
 )
 from synthgen.browse.decoded import Decoder
 from synthgen.browse.folder import Folder, Refused, name
+from synthgen.browse.public import TakingTurns
 from synthgen.browse.samples import Broken, Sample
 from synthgen.browse.sandbox import ROWS
 from synthgen.browse.security import Guard, plain_header
@@ -112,7 +113,8 @@ class Server:
         total, rows = shots.page(snapshot, chosen, offset, limit)
         health = samples.Health(self.folder)
         for row in rows:
-            row["broken"] = health.reason(row)
+            reason = health.reason(row)
+            row["broken"] = reason and self.folder.without_paths(reason)
         self.tagging.mark(rows)
         self.library.answered()
         return Answer({"total": total, "rows": rows, "revision": snapshot.revision})
@@ -132,8 +134,8 @@ class Server:
     def selection(self, request: Request) -> Response:
         _, chosen = self._chosen(request)
         place = self.tagging.place
-        tags_in = None if place == tags_folder() else str(place)
-        return Answer(exports.describe(str(self.folder.given), chosen, tags_in))
+        tags_in = None if place == tags_folder() or self.folder.hidden else str(place)
+        return Answer(exports.describe(self.folder.shown, chosen, tags_in))
 
     def rows(self, request: Request) -> Response:
         snapshot, chosen = self._chosen(request)
@@ -157,7 +159,7 @@ class Server:
         try:
             picture = self.thumbnails.get(self._sample(request), environment, size)
         except Broken as reason:
-            return _broken_picture(str(reason), size)
+            return _broken_picture(self.folder.without_paths(str(reason)), size)
         return Response(picture, headers=_BRIEFLY, media_type="image/jpeg")
 
     def shot(self, request: Request) -> Response:
@@ -210,6 +212,15 @@ class Server:
 
     async def undo_tag(self, request: Request) -> Response:
         return Answer(await self.tagging.undo(request))
+
+    def refused(self, request: Request, error: Exception) -> Response:
+        status = error.status if isinstance(error, Refused) else 409
+        return Answer({"error": self.folder.without_paths(str(error))}, status)
+
+    def broken(self, request: Request, error: Exception) -> Response:
+        reason = self.folder.without_paths(str(error))
+        headers = {"X-Broken": plain_header(reason)}
+        return Answer({"error": f"broken: {reason}"}, 422, headers=headers)
 
     def subject(self, request: Request) -> Response:
         return Answer(subjects.describe(*self._subject(request)))
@@ -270,18 +281,9 @@ def _broken_picture(reason: str, size: int) -> Response:
     return Response(svg, headers=headers, media_type="image/svg+xml")
 
 
-def _refused(request: Request, error: Exception) -> Response:
-    return Answer({"error": str(error)}, error.status if isinstance(error, Refused) else 409)
-
-
 def _unknown(request: Request, error: Exception) -> Response:
     status = getattr(error, "status_code", 404)
     return Answer({"error": getattr(error, "detail", "no such address")}, status)
-
-
-def _broken(request: Request, error: Exception) -> Response:
-    reason = {"X-Broken": plain_header(error)}
-    return Answer({"error": f"broken: {error}"}, 422, headers=reason)
 
 
 def create(
@@ -290,11 +292,14 @@ def create(
     token: str | None,
     port: int,
     tagging: Tagging | None = None,
+    public: str | None = None,
 ) -> Starlette:
     """The application; `token` is asked of every request if given, `port` names its cookie.
 
-    Without `tagging`, the user's own tags are shown and none are changed.
+    Without `tagging`, the user's own tags are shown and none are changed. `public` is the name of a
+    proxy's host: everybody may ask then, in turns, and nothing is written.
     """
+    limits = [] if public is None else [Middleware(TakingTurns)]
     server = Server(library, thumbnails, tagging or Tagging(library, tags_folder(), None))
 
     def get(path: str, handler: Callable[[Request], Response]) -> Route:
@@ -323,11 +328,11 @@ def create(
             get("/subject/{subset}/{subject}/expressions", server.expressions),
             Mount("/assets", StaticFiles(directory=str(_ASSETS))),
         ],
-        middleware=[Middleware(Guard, token=token, port=port)],
+        middleware=[Middleware(Guard, token=token, port=port, public=public), *limits],
         exception_handlers={
-            Refused: _refused,
-            StorageError: _refused,
-            Broken: _broken,
+            Refused: server.refused,
+            StorageError: server.refused,
+            Broken: server.broken,
             HTTPException: _unknown,
         },
     )

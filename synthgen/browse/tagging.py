@@ -111,8 +111,8 @@ class Tagging:
             "person": self.book.person if self.book else None,
             "writable": self.book is not None,
             "tags": [[name, len(tags.shots(name))] for name in tags.names()],
-            "people": sorted(tags.by_person),
-            "problems": self.problems,
+            "people": [] if self.library.folder.hidden else sorted(tags.by_person),
+            "problems": [] if self.library.folder.hidden else self.problems,
         }
 
     async def change(self, request: Request, uploads: Uploads) -> dict[str, Any]:
