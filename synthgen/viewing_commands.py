@@ -256,6 +256,10 @@ def browse(
     open_: Annotated[
         bool, typer.Option("--open/--no-open", help="Open the page in a browser.")
     ] = False,
+    run: Annotated[
+        Path | None,
+        typer.Option(metavar="RUN", help="A run of `totalediting train` to show beside the truth."),
+    ] = None,
     tags_in: TagsIn = None,
     person: Annotated[
         str | None,
@@ -280,4 +284,4 @@ def browse(
             webbrowser.open(address)
 
     name = None if read_only else person or user()
-    serve(out, host, port, cache, console.say, ready, tags_in, name, public)
+    serve(out, host, port, cache, console.say, ready, tags_in, name, public, run)

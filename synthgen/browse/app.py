@@ -61,6 +61,7 @@ from synthgen.browse import (
 from synthgen.browse.decoded import Decoder
 from synthgen.browse.folder import Folder, Refused, name
 from synthgen.browse.public import TakingTurns
+from synthgen.browse.runs import PREFIX, Beside
 from synthgen.browse.samples import Broken, Sample
 from synthgen.browse.sandbox import ROWS
 from synthgen.browse.security import Guard, plain_header
@@ -95,8 +96,11 @@ class Answer(JSONResponse):
 class Server:
     """The handlers, with what they share: the folder, its snapshots, the cache of thumbnails."""
 
-    def __init__(self, library: Library, thumbnails: Thumbnails, tagging: Tagging) -> None:
+    def __init__(
+        self, library: Library, thumbnails: Thumbnails, tagging: Tagging, beside: Beside | None
+    ) -> None:
         self.library, self.thumbnails, self.tagging = library, thumbnails, tagging
+        self.beside = beside
         self.decoder, self.uploads = Decoder(), Uploads()
         self.folder: Folder = library.folder
 
@@ -104,7 +108,8 @@ class Server:
         return FileResponse(str(_ASSETS / "index.html"), headers={"Cache-Control": "no-cache"})
 
     def dataset(self, request: Request) -> Response:
-        return Answer(dataset.describe(self.library.snapshot()))
+        pictures = self.beside.run.pictures if self.beside else ()
+        return Answer(dataset.describe(self.library.snapshot(), pictures))
 
     def shots(self, request: Request) -> Response:
         snapshot, chosen = self._chosen(request)
@@ -132,7 +137,11 @@ class Server:
         return Answer(answer)
 
     def selection(self, request: Request) -> Response:
-        _, chosen = self._chosen(request)
+        snapshot, chosen = self._chosen(request)
+        own = {column for column in snapshot.columns if column.startswith(PREFIX)}
+        if own and any(column in str(chosen) for column in own):
+            # Errors of a run are columns of this page alone.
+            chosen = exports.by_key(snapshot, chosen)
         place = self.tagging.place
         tags_in = None if place == tags_folder() or self.folder.hidden else str(place)
         return Answer(exports.describe(self.folder.shown, chosen, tags_in))
@@ -166,12 +175,19 @@ class Server:
         row, snapshot = self._row(request), self.library.snapshot()
         answer = shot_page.describe(self.folder, snapshot, self.decoder, row)
         self.tagging.mark([answer])
+        if self.beside is not None:
+            answer["errors"] = self.beside.of(f"{answer['subset']}/{answer['key']}")
         return Answer(answer)
 
     def picture(self, request: Request) -> Response:
         environment = selection.number(request.query_params, "environment", 0, 0, 99)
         wanted = request.path_params["pass"]
-        drawn = self.decoder.picture(self._sample(request), wanted, environment)
+        if self.beside is not None and wanted.startswith(PREFIX):
+            row = self._row(request, ("subset", "key", "split"))
+            place = f"{row['subset']}/{row['key']}", str(row["split"])
+            drawn = self.beside.picture(*place, wanted.removeprefix(PREFIX))
+        else:
+            drawn = self.decoder.picture(self._sample(request), wanted, environment)
         buffer = io.BytesIO()
         # Quick rather than small: it is drawn for one look.
         Image.fromarray(drawn).save(buffer, "PNG", compress_level=1)
@@ -293,14 +309,16 @@ def create(
     port: int,
     tagging: Tagging | None = None,
     public: str | None = None,
+    beside: Beside | None = None,
 ) -> Starlette:
     """The application; `token` is asked of every request if given, `port` names its cookie.
 
     Without `tagging`, the user's own tags are shown and none are changed. `public` is the name of a
-    proxy's host: everybody may ask then, in turns, and nothing is written.
+    proxy's host: everybody may ask then, in turns, and nothing is written. `beside` is a run to be
+    shown.
     """
     limits = [] if public is None else [Middleware(TakingTurns)]
-    server = Server(library, thumbnails, tagging or Tagging(library, tags_folder(), None))
+    server = Server(library, thumbnails, tagging or Tagging(library, tags_folder(), None), beside)
 
     def get(path: str, handler: Callable[[Request], Response]) -> Route:
         return Route(path, handler, methods=["GET"])

@@ -18,8 +18,9 @@ PARTS = (
 """Names of the part ids from 0 on; 255 is ignored."""
 
 
-def describe(snapshot: Snapshot) -> dict[str, Any]:
-    """The dataset, its columns and counts; all of it from dataset.json and the manifest."""
+def describe(snapshot: Snapshot, pictures: tuple[str, ...] = ()) -> dict[str, Any]:
+    """The dataset, its columns and counts, all of it from dataset.json and the manifest; and which
+    `pictures` there are of a run beside it."""
     info = snapshot.info
     environments = info.get("environments")
     panoramas = [e for e in environments or [] if isinstance(e, dict) and "id" in e]
@@ -44,6 +45,7 @@ def describe(snapshot: Snapshot) -> dict[str, Any]:
         ],
         "passes": passes(),
         "expression_names": list(ARKIT_NAMES),
+        "run": list(pictures),
     }
 
 

@@ -15,12 +15,14 @@ import numpy as np
 from synthgen.browse.folder import Refused
 from synthgen.browse.selection import Selection
 from synthgen.browse.snapshot import Snapshot
-from synthgen.dataset.database import quoted
+from synthgen.dataset.database import literal, quoted
 from synthgen.dataset.manifest import Answer
 from synthgen.publish import answers
 
 MOST_PARQUET = 200_000
 """Rows of a Parquet file, which is made on disk before it is sent; CSV has no limit."""
+MOST_NAMED = 500
+"""Shots that a condition names by their keys."""
 _CHUNK = 5_000
 
 
@@ -44,6 +46,19 @@ def describe(place: str, selection: Selection, tags_in: str | None = None) -> di
         "python": f"open_dataset({arguments})",
         "command": f"synthgen subset {_shell(place)}{option} --out NEW_DIR",
     }
+
+
+def by_key(snapshot: Snapshot, selection: Selection) -> Selection:
+    """The same shots by their keys; `Refused` for more than a line of SQL should hold."""
+    found = b"".join(keys(snapshot, selection)).decode().split()
+    if len(found) > MOST_NAMED:
+        raise Refused(
+            f"{len(found):,} shots cannot be named one by one, and errors of a run are columns of "
+            f"this page alone; choose at most {MOST_NAMED}, or tag them",
+            413,
+        )
+    named = ", ".join(map(literal, found))
+    return Selection(where=f"subset || '/' || key IN ({named})" if found else "false")
 
 
 def _shell(text: str) -> str:

@@ -31,7 +31,7 @@ _LABELS = {
 }
 GROUPS = (
     *("people", "light", "camera", "head", "expression", "hair", "skin", "makeup", "eyes"),
-    *("clothes", "accessories", "dataset", "quality", "cost", "other"),
+    *("clothes", "accessories", "run", "dataset", "quality", "cost", "other"),
 )
 """In the order in which a researcher asks; groups that a manifest has besides come before these
 last four."""
@@ -105,7 +105,7 @@ def column(name: str, sql_type: str) -> Column:
         group = "other"
     elif first == "gaze":
         label = f"gaze {label}"
-    prefix = f"{first} " if first in ("camera", "head", "light", "quality", "cost") else ""
+    prefix = f"{first} " if first in ("camera", "head", "light", "quality", "cost", "run") else ""
     words = type_ != "number" and name not in _NAMES
     group = _GROUP_OF.get(group, group)
     return Column(name, type_, kind, group, label, _unit(name), listed, prefix + label, words)

@@ -61,8 +61,11 @@ class Library:
     Raises `StorageError` if the folder is no dataset, or its manifest cannot be read.
     """
 
-    def __init__(self, folder: Folder, threads: int = 2) -> None:
-        self.folder, self.threads = folder, threads
+    def __init__(
+        self, folder: Folder, threads: int = 2, added: dict[str, str] | None = None
+    ) -> None:
+        """`added` are more columns: SQL expressions by name."""
+        self.folder, self.threads, self.added = folder, threads, added or {}
         self._lock = threading.Lock()
         self._looked = time.monotonic()
         self._pause = _SETTLE
@@ -71,9 +74,9 @@ class Library:
         self._answered = threading.Event()
         self._loading: threading.Thread | None = None
         try:
-            self._current = _read(folder, Sandbox(threads), in_memory=False)
+            self._current = _read(folder, Sandbox(threads), False, self.added)
             if self._current.shots <= _SMALL:
-                self._current = _read(folder, Sandbox(threads), in_memory=True)
+                self._current = _read(folder, Sandbox(threads), True, self.added)
                 return
         except (duckdb.Error, Refused) as error:
             reason = " ".join(str(error).splitlines()[:1])[:200]
@@ -121,7 +124,7 @@ class Library:
         start = time.monotonic()
         with contextlib.suppress(duckdb.Error, StorageError, Refused, OSError):
             self._filling = Sandbox(self.threads)
-            loaded = _read(self.folder, self._filling, in_memory=True)
+            loaded = _read(self.folder, self._filling, True, self.added)
             with self._lock:
                 self._current = loaded
             self._prepare(loaded)
@@ -151,7 +154,7 @@ def revision(folder: Folder) -> str:
     return digest.hexdigest()[:16]
 
 
-def _read(folder: Folder, sandbox: Sandbox, in_memory: bool) -> Snapshot:
+def _read(folder: Folder, sandbox: Sandbox, in_memory: bool, added: dict[str, str]) -> Snapshot:
     name = revision(folder)
     info = folder.description()
     run = sandbox.connection.execute
@@ -174,7 +177,8 @@ def _read(folder: Folder, sandbox: Sandbox, in_memory: bool) -> Snapshot:
     described = run(f"DESCRIBE SELECT * FROM {source}").fetchall()
     kept = [n for n, *_ in described if n not in LEFT_OUT | {"failed", "reason"}]
     lit = lights.columns(info.get("environments"), {n: kind for n, kind, *_ in described})
-    names = ", ".join([*map(quoted, kept), *(f"{sql} AS {n}" for n, sql in lit.items())])
+    more = {n: sql for n, sql in (lit | added).items() if n not in kept}
+    names = ", ".join([*map(quoted, kept), *(f"{sql} AS {quoted(n)}" for n, sql in more.items())])
     failures = _failures(folder, info, sandbox)
     body = (
         f"SELECT {names}, false AS failed, NULL::VARCHAR AS reason FROM {source} "

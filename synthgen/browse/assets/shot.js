@@ -1,7 +1,7 @@
 // One shot in full: its passes, light and metadata, and the way to its neighbours.
 
 import { askJson, path } from "./api.js";
-import { button, command, h, segments } from "./dom.js";
+import { button, command, h, number, segments } from "./dom.js";
 import { LightPanel } from "./light.js";
 import { members, metadata } from "./metadata.js";
 import { Overlay } from "./overlay.js";
@@ -34,6 +34,10 @@ export class ShotView {
     this.environment = Math.min(Number(options.environment) || 0, shot.environments.length - 1);
     this.labels = new Map(this.dataset.passes.map((p) => [p.name, p.label]));
     this.passes = shot.passes.filter((p) => this.labels.get(p));
+    if (this.dataset.run.length) {
+      this.labels.set("run", "Model");
+      this.passes.push("run");
+    }
     this.pass = this.passes.includes(options.pass) ? options.pass : "image";
     this.beside = options.one !== "1";
     this.overlay = new Overlay(shot);
@@ -55,6 +59,7 @@ export class ShotView {
         h(
           "div",
           { class: "side" },
+          this.errors(),
           this.siblings(),
           this.reproduce(),
           metadata(shot.meta),
@@ -189,6 +194,25 @@ export class ShotView {
     if (this.beside) this.pictures.mark(environment);
     else this.draw();
     this.light.use(environment);
+  }
+
+  /** What the run got wrong in this shot, if it was measured. */
+  errors() {
+    const found = Object.entries(this.shot.errors ?? {});
+    if (!found.length) return null;
+    return h(
+      "section",
+      { class: "panel", "aria-label": "Errors of the run" },
+      h("h2", { text: "Errors of the run" }),
+      h(
+        "dl",
+        { class: "table" },
+        ...found.flatMap(([title, value]) => [
+          h("dt", { text: title }),
+          h("dd", { class: "number", text: value === null ? "none" : number(value) }),
+        ]),
+      ),
+    );
   }
 
   siblings() {

@@ -75,6 +75,30 @@ def test_a_condition_is_completed_by_columns_and_values(browser_page: Any, brows
     page.get_by_text("5 of 16 shots").wait_for()
 
 
+def test_a_run_is_shown_beside_the_truth(chromium: Any, browse_site: str):
+    """The run is made up: what is tested is the page, not the model."""
+    names = ["source", "prediction", "truth", "difference"]
+
+    def described(route: Any) -> None:
+        route.fulfill(json=route.fetch().json() | {"run": names})
+
+    def shot(route: Any) -> None:
+        route.fulfill(json=route.fetch().json() | {"errors": {"PSNR (dB)": 21.5}})
+
+    picture = '<svg xmlns="http://www.w3.org/2000/svg" width="9" height="9"/>'
+    with page_driver.opened(chromium, "about:blank") as page:
+        page.route("**/api/dataset", described)
+        page.route("**/api/shot/**", shot)
+        page.route("**/run_*", lambda r: r.fulfill(body=picture, content_type="image/svg+xml"))
+        page.goto(f"{browse_site}#shot/multiview/s000000_p00")
+        page.get_by_role("radio", name="Model").click()
+        page.get_by_text("difference ×4").wait_for()
+        assert page.locator(".figures figcaption").all_inner_texts()[:3] == names[:3]
+        assert "21.5" in page.get_by_label("Errors of the run").inner_text()
+        page.keyboard.press("1")
+        page.get_by_alt_text("Picture under").first.wait_for()
+
+
 def test_pictures_are_magnified_together_and_values_follow(chromium: Any, browse_site: str):
     address = f"{browse_site}#shot/multiview/s000000_p00"
     with page_driver.opened(chromium, address) as page:
