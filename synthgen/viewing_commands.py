@@ -22,7 +22,7 @@ _OR_HERE = ", in the current folder where that cannot be written."
 
 def add_to(app: typer.Typer) -> None:
     """Makes them commands of `app`."""
-    for command in (show, sheet, clip, rerender, query, export, browse):
+    for command in (show, sheet, clip, rerender, query, export, subset, tags, browse):
         app.command()(command)
 
 
@@ -144,6 +144,24 @@ def query(
         answers.write(answer, format_, output)
 
 
+Where = Annotated[
+    str | None, typer.Option(metavar="SQL", help='Only shots such as "person_age_years > 60".')
+]
+OneSubset = Annotated[str | None, typer.Option(help="Only this subset.")]
+Split = Annotated[
+    Literal["train", "validation", "test"] | None, typer.Option(help="Only this split.")
+]
+
+TagList = Annotated[
+    str | None,
+    typer.Option("--tags", metavar="LIST", help="Only shots with tags, or without: star,-reject."),
+]
+TagsIn = Annotated[
+    Path | None,
+    typer.Option("--tags-in", metavar="DIR", help="Where tags are kept; default: your own folder."),
+]
+
+
 def export(
     out: Dataset,
     target: Annotated[
@@ -152,14 +170,11 @@ def export(
     format_: Annotated[
         Literal["nerfstudio"], typer.Option("--format", help="The format that tool reads.")
     ] = "nerfstudio",
-    where: Annotated[
-        str | None,
-        typer.Option(metavar="SQL", help='Only shots such as "person_age_years > 60".'),
-    ] = None,
-    subset: Annotated[str | None, typer.Option(help="Only this subset.")] = None,
-    split: Annotated[
-        Literal["train", "validation", "test"] | None, typer.Option(help="Only this split.")
-    ] = None,
+    where: Where = None,
+    subset: OneSubset = None,
+    split: Split = None,
+    tags: TagList = None,
+    tags_in: TagsIn = None,
 ) -> None:
     """Export a dataset to another tool: a transforms.json per subject and environment."""
     from synthgen.beside import beside
@@ -167,8 +182,66 @@ def export(
     from synthgen.publish.export import nerfstudio
 
     write = {"nerfstudio": nerfstudio}[format_]
-    chosen = open_dataset(out, subset=subset, split=split, where=where)
+    named = [tag for tag in (tags or "").split(",") if tag]
+    chosen = open_dataset(out, subset=subset, split=split, where=where, tags=named, tags_in=tags_in)
     console.say(write(chosen, target or beside(out, f"-{format_}")))
+
+
+def subset(
+    out: Dataset,
+    target: Annotated[Path, typer.Option("--out", metavar="DIR", help="A new folder.")],
+    where: Where = None,
+    subset: OneSubset = None,
+    split: Split = None,
+    tags: TagList = None,
+    tags_in: TagsIn = None,
+) -> None:
+    """Write some shots of a finished dataset as a dataset of its own, which `verify` passes.
+
+    Files that are kept whole are hard links and take no room; of the others whole samples are
+    copied. dataset.json records what was asked for.
+    """
+    from synthgen.dataset import open_dataset
+    from synthgen.dataset.records import Selection
+    from synthgen.publish.subsetting import take
+
+    named = [tag for tag in (tags or "").split(",") if tag]
+    chosen = open_dataset(out, subset=subset, split=split, where=where, tags=named, tags_in=tags_in)
+    asked = Selection(
+        source="", where=where or "", subset=subset or "", split=split or "", tags=named
+    )
+    taken = take(chosen, target, asked)
+    shots = console.count(taken.shots, "shot")
+    subjects = console.count(taken.subjects, "subject")
+    console.say(f"{taken.folder}: {shots} of {subjects}, {console.size(taken.copied)} copied")
+
+
+def tags(
+    out: Dataset,
+    tags_in: TagsIn = None,
+    take: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="FILE", help="Take another person's file in; repeatable."),
+    ] = None,
+) -> None:
+    """Show who tagged how many shots of a dataset, and in which files; merge those of others.
+
+    Tags are given on the page of `synthgen browse`, and read by `--tags` and `open_dataset`.
+    """
+    from synthgen.dataset import tags as marks
+    from synthgen.dataset.records import read_description
+
+    info, place = read_description(out), tags_in or marks.tags_folder()
+    for path in take or ():
+        console.say(f"taken in: {marks.take(path, place, info)}")
+    found = marks.read(place, info)
+    for name in found.names():
+        people = ", ".join(f"{person} {n}" for person, n in found.people(name).items())
+        console.say(f"{name}: {console.count(len(found.shots(name)), 'shot')} ({people})")
+    for path in marks.files(place, info):
+        console.say(path)
+    if not found.names():
+        console.say(f"{out}: no shot is tagged")
 
 
 def browse(
@@ -183,9 +256,26 @@ def browse(
     open_: Annotated[
         bool, typer.Option("--open/--no-open", help="Open the page in a browser.")
     ] = False,
+    run: Annotated[
+        Path | None,
+        typer.Option(metavar="RUN", help="A run of `totalediting train` to show beside the truth."),
+    ] = None,
+    tags_in: TagsIn = None,
+    person: Annotated[
+        str | None,
+        typer.Option("--as", metavar="NAME", help="Whose tags you give; default: your user name."),
+    ] = None,
+    read_only: Annotated[
+        bool, typer.Option("--read-only", help="Show tags, and let nobody change them.")
+    ] = False,
+    public: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="Read-only, for everybody, behind a proxy of this host."),
+    ] = None,
 ) -> None:
-    """Serve a dataset as a web page: search it, look at every pass, move the light."""
+    """Serve a dataset as a web page: search it, tag it, look at every pass, move the light."""
     from synthgen.browse.serve import serve
+    from synthgen.dataset.tags import user
 
     def ready(address: str) -> None:
         if open_:
@@ -193,4 +283,5 @@ def browse(
 
             webbrowser.open(address)
 
-    serve(out, host, port, cache, console.say, ready)
+    name = None if read_only else person or user()
+    serve(out, host, port, cache, console.say, ready, tags_in, name, public, run)

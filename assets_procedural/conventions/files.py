@@ -1,4 +1,4 @@
-"""Atomic file writes (temporary name, fsync, rename), foreign files, hashes, the cache folder."""
+"""Atomic file writes (temporary name, fsync, rename), foreign files, hashes, the user's folders."""
 
 from __future__ import annotations
 
@@ -90,3 +90,9 @@ def _sync_folder(folder: Path) -> None:
 def cache_folder() -> Path:
     """Calibrations, networks, lightmaps and thumbnails: $SYNTHGEN_CACHE or ~/.cache/synthgen."""
     return Path(os.environ.get("SYNTHGEN_CACHE", Path.home() / ".cache" / "synthgen"))
+
+
+def data_folder() -> Path:
+    """What a user makes and would miss: $XDG_DATA_HOME/synthgen or ~/.local/share/synthgen."""
+    home = os.environ.get("XDG_DATA_HOME") or Path.home() / ".local" / "share"
+    return Path(home) / "synthgen"

@@ -1,9 +1,11 @@
-"""The addresses that `synthgen browse` answers, all but one by GET.
+"""The addresses that `synthgen browse` answers, by GET where nothing else is said.
 
     /, /assets/…                                    the page
     /api/dataset                                    name, counts, columns, environments, revision
     /api/shots?<selection>&offset=&limit=           a page of rows, and how many there are
-    /api/counts?<selection>&columns=                facets and histograms, of all columns or some
+    /api/counts?<selection>&columns=&pairs=         facets and histograms, of all columns or some
+    /api/selection?<selection>                      SQL, Python and command that choose the same
+    /rows?<selection>&format=                       keys, csv or parquet of a selection, a download
     /api/shot/{subset}/{shot}                       metadata, members, siblings, command, broken
     /api/subject/{subset}/{subject}                 shots and cameras
     /thumbnail/{subset}/{shot}?environment=&size=   JPEG; SVG with X-Broken where there is none
@@ -13,6 +15,7 @@
     /subject/{subset}/{subject}.glb                 the mesh
     /subject/{subset}/{subject}/expressions         numbers, see `subjects`
     /lightmaps/{environment}?height=                numbers, see `light`; POST /lightmaps of a file
+    /api/tags, /api/tags/undo                       see `tagging`
 
 A selection is what `selection` says. Numbers are raw and little-endian, their shape and type in
 X-Shape ("480,640,3") and X-Type. Errors are {"error": one line} with a 4xx status: 400 for a
@@ -24,14 +27,18 @@ from __future__ import annotations
 import io
 import json
 import math
+import re
 from collections.abc import Callable
+from dataclasses import replace
 from importlib.resources import files
+from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import escape
 
 import numpy as np
 from PIL import Image
 from starlette.applications import Starlette
+from starlette.background import BackgroundTask
 from starlette.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
@@ -40,18 +47,38 @@ from starlette.responses import FileResponse, JSONResponse, Response, StreamingR
 from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
-from synthgen.browse import counts, dataset, light, samples, selection, shot_page, shots, subjects
+from synthgen.browse import (
+    counts,
+    dataset,
+    exports,
+    light,
+    samples,
+    selection,
+    shot_page,
+    shots,
+    subjects,
+)
 from synthgen.browse.decoded import Decoder
 from synthgen.browse.folder import Folder, Refused, name
+from synthgen.browse.public import TakingTurns
+from synthgen.browse.runs import PREFIX, Beside
 from synthgen.browse.samples import Broken, Sample
 from synthgen.browse.sandbox import ROWS
 from synthgen.browse.security import Guard, plain_header
+from synthgen.browse.selection import Selection
 from synthgen.browse.snapshot import Library, Snapshot
+from synthgen.browse.tagging import Tagging
 from synthgen.browse.thumbnails import SIZES, Thumbnails
 from synthgen.browse.uploads import Uploads
 from synthgen.dataset.folder import StorageError
+from synthgen.dataset.tags import tags_folder
 
 _ASSETS = files("synthgen.browse") / "assets"
+_DOWNLOADS = {
+    "keys": ("keys.txt", "text/plain; charset=utf-8"),
+    "csv": ("rows.csv", "text/csv; charset=utf-8"),
+    "parquet": ("rows.parquet", "application/vnd.apache.parquet"),
+}
 # An address does not say which bytes it stands for, so before long it is asked about again.
 _BRIEFLY = {"Cache-Control": "private, max-age=60"}
 
@@ -69,8 +96,11 @@ class Answer(JSONResponse):
 class Server:
     """The handlers, with what they share: the folder, its snapshots, the cache of thumbnails."""
 
-    def __init__(self, library: Library, thumbnails: Thumbnails) -> None:
-        self.library, self.thumbnails = library, thumbnails
+    def __init__(
+        self, library: Library, thumbnails: Thumbnails, tagging: Tagging, beside: Beside | None
+    ) -> None:
+        self.library, self.thumbnails, self.tagging = library, thumbnails, tagging
+        self.beside = beside
         self.decoder, self.uploads = Decoder(), Uploads()
         self.folder: Folder = library.folder
 
@@ -78,26 +108,59 @@ class Server:
         return FileResponse(str(_ASSETS / "index.html"), headers={"Cache-Control": "no-cache"})
 
     def dataset(self, request: Request) -> Response:
-        return Answer(dataset.describe(self.library.snapshot()))
+        pictures = self.beside.run.pictures if self.beside else ()
+        return Answer(dataset.describe(self.library.snapshot(), pictures))
 
     def shots(self, request: Request) -> Response:
-        snapshot = self.library.snapshot()
-        chosen = selection.parse(request.query_params, snapshot)
+        snapshot, chosen = self._chosen(request)
         offset = selection.number(request.query_params, "offset", 0, 0, 10**9)
         limit = selection.number(request.query_params, "limit", 60, 0, ROWS)
         total, rows = shots.page(snapshot, chosen, offset, limit)
         health = samples.Health(self.folder)
         for row in rows:
-            row["broken"] = health.reason(row)
+            reason = health.reason(row)
+            row["broken"] = reason and self.folder.without_paths(reason)
+        self.tagging.mark(rows)
         self.library.answered()
         return Answer({"total": total, "rows": rows, "revision": snapshot.revision})
 
     def counts(self, request: Request) -> Response:
-        snapshot = self.library.snapshot()
-        chosen = selection.parse(request.query_params, snapshot)
+        snapshot, chosen = self._chosen(request)
         wanted = request.query_params.get("columns")
         names = None if wanted is None else [n for n in wanted.split(",") if n]
-        return Answer(counts.count(snapshot, chosen, names))
+        answer = counts.count(snapshot, chosen, names) | {"tags": []}
+        wanted = request.query_params.get("pairs", "").split(",")[:8]
+        answer["pairs"] = counts.pairs(snapshot, chosen, [pair for pair in wanted if ":" in pair])
+        if snapshot.in_memory:
+            rows = replace(chosen, kept=None).rows(snapshot)
+            answer["tags"] = self.tagging.count(snapshot, rows)
+        return Answer(answer)
+
+    def selection(self, request: Request) -> Response:
+        snapshot, chosen = self._chosen(request)
+        own = {column for column in snapshot.columns if column.startswith(PREFIX)}
+        if own and any(column in str(chosen) for column in own):
+            # Errors of a run are columns of this page alone.
+            chosen = exports.by_key(snapshot, chosen)
+        place = self.tagging.place
+        tags_in = None if place == tags_folder() or self.folder.hidden else str(place)
+        return Answer(exports.describe(self.folder.shown, chosen, tags_in))
+
+    def rows(self, request: Request) -> Response:
+        snapshot, chosen = self._chosen(request)
+        form = request.query_params.get("format", "csv")
+        if form not in _DOWNLOADS:
+            raise Refused(f"format {form[:40]}: must be one of {', '.join(_DOWNLOADS)}", 400)
+        ending, kind = _DOWNLOADS[form]
+        name = re.sub(r"[^\w.-]+", "_", snapshot.info.get("name") or "dataset", flags=re.ASCII)
+        headers = {"Content-Disposition": f'attachment; filename="{name[:80]}-{ending}"'}
+        if form == "parquet":
+            folder = exports.as_parquet(snapshot, chosen)
+            path = Path(folder.name) / "rows.parquet"
+            done = BackgroundTask(folder.cleanup)
+            return FileResponse(path, headers=headers, media_type=kind, background=done)
+        pieces = (exports.keys if form == "keys" else exports.as_csv)(snapshot, chosen)
+        return StreamingResponse(pieces, headers=headers, media_type=kind)
 
     def thumbnail(self, request: Request) -> Response:
         environment = selection.number(request.query_params, "environment", 0, 0, 99)
@@ -105,17 +168,26 @@ class Server:
         try:
             picture = self.thumbnails.get(self._sample(request), environment, size)
         except Broken as reason:
-            return _broken_picture(str(reason), size)
+            return _broken_picture(self.folder.without_paths(str(reason)), size)
         return Response(picture, headers=_BRIEFLY, media_type="image/jpeg")
 
     def shot(self, request: Request) -> Response:
         row, snapshot = self._row(request), self.library.snapshot()
-        return Answer(shot_page.describe(self.folder, snapshot, self.decoder, row))
+        answer = shot_page.describe(self.folder, snapshot, self.decoder, row)
+        self.tagging.mark([answer])
+        if self.beside is not None:
+            answer["errors"] = self.beside.of(f"{answer['subset']}/{answer['key']}")
+        return Answer(answer)
 
     def picture(self, request: Request) -> Response:
         environment = selection.number(request.query_params, "environment", 0, 0, 99)
         wanted = request.path_params["pass"]
-        drawn = self.decoder.picture(self._sample(request), wanted, environment)
+        if self.beside is not None and wanted.startswith(PREFIX):
+            row = self._row(request, ("subset", "key", "split"))
+            place = f"{row['subset']}/{row['key']}", str(row["split"])
+            drawn = self.beside.picture(*place, wanted.removeprefix(PREFIX))
+        else:
+            drawn = self.decoder.picture(self._sample(request), wanted, environment)
         buffer = io.BytesIO()
         # Quick rather than small: it is drawn for one look.
         Image.fromarray(drawn).save(buffer, "PNG", compress_level=1)
@@ -148,6 +220,24 @@ class Server:
         content = await self.uploads.read(request, light.LARGEST_UPLOAD)
         return _array(await run_in_threadpool(light.of_upload, content, height))
 
+    def tags(self, request: Request) -> Response:
+        return Answer(self.tagging.describe())
+
+    async def tag(self, request: Request) -> Response:
+        return Answer(await self.tagging.change(request, self.uploads))
+
+    async def undo_tag(self, request: Request) -> Response:
+        return Answer(await self.tagging.undo(request))
+
+    def refused(self, request: Request, error: Exception) -> Response:
+        status = error.status if isinstance(error, Refused) else 409
+        return Answer({"error": self.folder.without_paths(str(error))}, status)
+
+    def broken(self, request: Request, error: Exception) -> Response:
+        reason = self.folder.without_paths(str(error))
+        headers = {"X-Broken": plain_header(reason)}
+        return Answer({"error": f"broken: {reason}"}, 422, headers=headers)
+
     def subject(self, request: Request) -> Response:
         return Answer(subjects.describe(*self._subject(request)))
 
@@ -157,6 +247,11 @@ class Server:
 
     def expressions(self, request: Request) -> Response:
         return _array(subjects.expressions(*self._subject(request)))
+
+    def _chosen(self, request: Request) -> tuple[Snapshot, Selection]:
+        snapshot = self.library.snapshot()
+        chosen = selection.parse(request.query_params, snapshot)
+        return snapshot, self.tagging.kept(snapshot, chosen)
 
     def _subject(self, request: Request) -> tuple[Folder, Snapshot, str, str]:
         subset = name(request.path_params["subset"], "subset")
@@ -202,23 +297,28 @@ def _broken_picture(reason: str, size: int) -> Response:
     return Response(svg, headers=headers, media_type="image/svg+xml")
 
 
-def _refused(request: Request, error: Exception) -> Response:
-    return Answer({"error": str(error)}, error.status if isinstance(error, Refused) else 409)
-
-
 def _unknown(request: Request, error: Exception) -> Response:
     status = getattr(error, "status_code", 404)
     return Answer({"error": getattr(error, "detail", "no such address")}, status)
 
 
-def _broken(request: Request, error: Exception) -> Response:
-    reason = {"X-Broken": plain_header(error)}
-    return Answer({"error": f"broken: {error}"}, 422, headers=reason)
+def create(
+    library: Library,
+    thumbnails: Thumbnails,
+    token: str | None,
+    port: int,
+    tagging: Tagging | None = None,
+    public: str | None = None,
+    beside: Beside | None = None,
+) -> Starlette:
+    """The application; `token` is asked of every request if given, `port` names its cookie.
 
-
-def create(library: Library, thumbnails: Thumbnails, token: str | None, port: int) -> Starlette:
-    """The application; `token` is asked of every request if given, `port` names its cookie."""
-    server = Server(library, thumbnails)
+    Without `tagging`, the user's own tags are shown and none are changed. `public` is the name of a
+    proxy's host: everybody may ask then, in turns, and nothing is written. `beside` is a run to be
+    shown.
+    """
+    limits = [] if public is None else [Middleware(TakingTurns)]
+    server = Server(library, thumbnails, tagging or Tagging(library, tags_folder(), None), beside)
 
     def get(path: str, handler: Callable[[Request], Response]) -> Route:
         return Route(path, handler, methods=["GET"])
@@ -229,6 +329,8 @@ def create(library: Library, thumbnails: Thumbnails, token: str | None, port: in
             get("/api/dataset", server.dataset),
             get("/api/shots", server.shots),
             get("/api/counts", server.counts),
+            get("/api/selection", server.selection),
+            get("/rows", server.rows),
             get("/thumbnail/{subset}/{shot}", server.thumbnail),
             get("/api/shot/{subset}/{shot}", server.shot),
             get("/pass/{subset}/{shot}/{pass}", server.picture),
@@ -236,16 +338,19 @@ def create(library: Library, thumbnails: Thumbnails, token: str | None, port: in
             get("/member/{subset}/{shot}/{name}", server.member),
             get("/lightmaps/{environment}", server.lightmaps),
             Route("/lightmaps", server.bake, methods=["POST"]),
+            get("/api/tags", server.tags),
+            Route("/api/tags", server.tag, methods=["POST"]),
+            Route("/api/tags/undo", server.undo_tag, methods=["POST"]),
             get("/api/subject/{subset}/{subject}", server.subject),
             get("/subject/{subset}/{subject}.glb", server.mesh),
             get("/subject/{subset}/{subject}/expressions", server.expressions),
             Mount("/assets", StaticFiles(directory=str(_ASSETS))),
         ],
-        middleware=[Middleware(Guard, token=token, port=port)],
+        middleware=[Middleware(Guard, token=token, port=port, public=public), *limits],
         exception_handlers={
-            Refused: _refused,
-            StorageError: _refused,
-            Broken: _broken,
+            Refused: server.refused,
+            StorageError: server.refused,
+            Broken: server.broken,
             HTTPException: _unknown,
         },
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from assets_procedural.motion.poses import ARKIT_NAMES
-from synthgen.browse.fields import GRID
+from synthgen.browse.fields import GRID, ordered
 from synthgen.browse.snapshot import Snapshot
 from synthgen.dataset.passes import PASSES, Pass
 from synthgen.pictures.drawing import PALETTE
@@ -18,8 +18,9 @@ PARTS = (
 """Names of the part ids from 0 on; 255 is ignored."""
 
 
-def describe(snapshot: Snapshot) -> dict[str, Any]:
-    """The dataset, its columns and counts; all of it from dataset.json and the manifest."""
+def describe(snapshot: Snapshot, pictures: tuple[str, ...] = ()) -> dict[str, Any]:
+    """The dataset, its columns and counts, all of it from dataset.json and the manifest; and which
+    `pictures` there are of a run beside it."""
     info = snapshot.info
     environments = info.get("environments")
     panoramas = [e for e in environments or [] if isinstance(e, dict) and "id" in e]
@@ -33,7 +34,7 @@ def describe(snapshot: Snapshot) -> dict[str, Any]:
         "frames": snapshot.frames,
         "failures": snapshot.failures,
         "plan": info["plan"],
-        "columns": [c.to_json() for c in snapshot.columns.values()],
+        "columns": [c.to_json() for c in ordered(snapshot.columns.values())],
         "grid": [n for n in GRID if n in snapshot.columns],
         "environments": [
             {k: str(e.get(k, "")) for k in ("id", "kind", "source", "author", "licence")}
@@ -44,6 +45,7 @@ def describe(snapshot: Snapshot) -> dict[str, Any]:
         ],
         "passes": passes(),
         "expression_names": list(ARKIT_NAMES),
+        "run": list(pictures),
     }
 
 

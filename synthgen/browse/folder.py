@@ -25,12 +25,25 @@ class Refused(UserError):
 class Folder:
     """A dataset's folder; the folder itself may be a link, nothing below it may lead outside.
 
-    `given` is its path as the user gave it, `layout` says where its files lie.
+    `given` is its path as the user gave it, `layout` says where its files lie. With `hidden`, pages
+    show a name in place of the path.
     """
 
-    def __init__(self, root: Place) -> None:
-        self.given = Path(root)
+    def __init__(self, root: Place, hidden: bool = False) -> None:
+        self.given, self.hidden = Path(root), hidden
         self.layout = DatasetFolder(self.given.resolve())
+
+    @property
+    def shown(self) -> str:
+        """The path, or what stands for it."""
+        return "DATASET" if self.hidden else str(self.given)
+
+    def without_paths(self, text: str) -> str:
+        """Words for a page: where the path is hidden, without it."""
+        if self.hidden:
+            for path in sorted({str(self.layout.root), str(self.given)}, key=len, reverse=True):
+                text = text.replace(path, self.shown)
+        return text
 
     def file(self, wanted: str | Path) -> Path:
         """A regular file of the folder: a path of `layout`, or as manifests name it.

@@ -172,4 +172,5 @@ def _few(joined: int) -> int:
 def _one_line(error: Any) -> str:
     # Later lines draw the query that was made of the condition.
     lines = str(error).strip().splitlines() or [type(error).__name__]
-    return " ".join(lines[0].split())[:300]
+    hints = [line for line in lines[1:] if line.startswith(("Candidate", "Did you mean"))]
+    return " ".join(" ".join([lines[0], *hints[:1]]).split())[:300]

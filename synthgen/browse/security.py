@@ -49,12 +49,15 @@ def new_token() -> str:
 class Guard:
     """Lets requests through to `app`: the right host, the token if one is set, our own pages.
 
-    With a token, it may come in the cookie or as `?token=`; a page that is opened with it in the
-    address gets the cookie and is sent to the address without it.
+    The right host is this machine, or `public`, the name of a proxy. With a token, it may come in
+    the cookie or as `?token=`; a page that is opened with it in the address gets the cookie and is
+    sent to the address without it.
     """
 
-    def __init__(self, app: ASGIApp, token: str | None, port: int) -> None:
-        self.app, self.token = app, token
+    def __init__(
+        self, app: ASGIApp, token: str | None, port: int, public: str | None = None
+    ) -> None:
+        self.app, self.token, self.public = app, token, public
         # Cookies are shared by all ports of a host.
         self.cookie = f"synthgen_browse_{port}"
 
@@ -76,7 +79,9 @@ class Guard:
         await (answer or self.app)(scope, receive, with_headers)
 
     def _refusal(self, request: Request) -> Response | None:
-        if self.token is None and not _local_name(request.headers.get("host", "")):
+        host = request.headers.get("host", "")
+        ours = _local_name(host) or (self.public is not None and _name(host) == self.public)
+        if self.token is None and not ours:
             return _error("this server answers on localhost only", 403)
         # A browser says where a request comes from. Other sites may link to the page, no more:
         # neither frame it nor make it work.
@@ -87,6 +92,11 @@ class Guard:
             and request.headers.get("sec-fetch-mode") == "navigate"
             and request.headers.get("sec-fetch-dest") == "document"
         ):
+            return _error("requests from other sites are refused", 403)
+        # Older browsers do not say so, but whose page sends what changes something.
+        origin = request.headers.get("origin")
+        own = origin is None or origin.split("://")[-1] == request.headers.get("host", "")
+        if request.method not in ("GET", "HEAD") and not own:
             return _error("requests from other sites are refused", 403)
         if self.token is None:
             return None
@@ -106,8 +116,11 @@ class Guard:
 
 
 def _local_name(host: str) -> bool:
-    name = host.rsplit(":", 1)[0] if not host.endswith("]") else host
-    return is_loopback(name)
+    return is_loopback(_name(host))
+
+
+def _name(host: str) -> str:
+    return host.rsplit(":", 1)[0] if not host.endswith("]") else host
 
 
 def _equal(a: str, b: str) -> bool:

@@ -2,6 +2,7 @@
 
     facets={"subset": ["multiview"], "environments": ["city"]}  any of the values; null is a value
     ranges={"camera_yaw": [-0.5, 0.5], "cost_beauty": [10, null]}  ends included; null is open
+    tags=["star", "-reject"]  all of them; - for shots without
     where=person_age_years > 60 AND person_hair_style = 'bob'
     sort=person_age_years  descending=1
 
@@ -12,46 +13,91 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+import re
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
+
+import numpy as np
 
 from synthgen.browse.fields import Column
 from synthgen.browse.folder import Refused
 from synthgen.browse.snapshot import Snapshot
-from synthgen.dataset.database import quoted
+from synthgen.dataset.database import literal, quoted
+from synthgen.dataset.folder import StorageError
+from synthgen.dataset.tags import bare
 
 _MOST = 500  # values of all facets together
 _FEW = 8
+_PLAIN = re.compile(
+    r"(subset|split|key|(camera|head|gaze|person|expression|quality|cost)_[a-z0-9_]+)"
+)
+_OF_FAILURES = {"failed": False, "reason": None}  # columns of the page alone, and shots' values
 
 
 @dataclass(frozen=True)
 class Selection:
-    """Conditions by column, a checked SQL condition, and an order."""
+    """Conditions by column, a checked SQL condition, tags, and an order.
+
+    `kept` (N,) bool has the rows that `tags` leave, once `Tagging.kept` has looked at them.
+    """
 
     facets: dict[str, list[Any]] = field(default_factory=dict)
     ranges: dict[str, tuple[float | None, float | None]] = field(default_factory=dict)
     where: str = ""
     sort: str = ""
     descending: bool = False
+    tags: tuple[str, ...] = ()
+    kept: np.ndarray | None = field(default=None, compare=False)
+
+    def rows(
+        self, snapshot: Snapshot, without: str = "", ordered: bool = False
+    ) -> np.ndarray | None:
+        """(N,) numbers of the rows, in order if asked; None for all of them as stored.
+
+        `without` leaves one column's choice out.
+        """
+        condition, values = self.condition(without)
+        order = self.order() if ordered else ""
+        if condition == "true" and not order:
+            return None if self.kept is None else np.flatnonzero(self.kept)
+        found = snapshot.matches.rows(condition, values, order)
+        return found if self.kept is None else found[self.kept[found]]
 
     def condition(self, without: str = "") -> tuple[str, list[Any]]:
         """An SQL condition and the values bound to it; `without` leaves one column's choice out."""
-        terms: list[str] = []
         values: list[Any] = []
+
+        def bound(value: Any) -> str:
+            values.append(value)
+            return "?"
+
+        return " AND ".join(self._terms(bound, without)) or "true", values
+
+    def sql(self) -> str:
+        """The condition as one text for `open_dataset` and `synthgen`; "" chooses everything.
+
+        They know no subjects that failed.
+        """
+        terms = list(self._terms(_literal, shots_alone=True))
+        return self.where if terms == [f"({self.where})"] else " AND ".join(terms)
+
+    def _terms(
+        self, value: Callable[[Any], str], without: str = "", shots_alone: bool = False
+    ) -> Iterator[str]:
+        """The conditions, all of which must hold; `value` is how a value is written."""
         for name, chosen in self.facets.items():
-            if name != without:
-                term, bound = _facet(name, chosen)
-                terms.append(term)
-                values += bound
+            if shots_alone and name in _OF_FAILURES:
+                if _OF_FAILURES[name] not in chosen:
+                    yield "false"
+            elif name != without:
+                yield _facet(name, chosen, value)
         for name, ends in self.ranges.items():
             for sign, end in zip((">=", "<="), ends, strict=True):
                 if name != without and end is not None:
-                    terms.append(f"{quoted(name)} {sign} ?")
-                    values.append(end)
+                    yield f"{_name(name)} {sign} {value(end)}"
         if self.where:
-            terms.append(f"({self.where}\n)")
-        return " AND ".join(terms) or "true", values
+            yield f"({self.where}\n)" if "--" in self.where else f"({self.where})"
 
     def order(self) -> str:
         """An ORDER BY clause: the manifest's own order where nothing else is said."""
@@ -83,7 +129,8 @@ def parse(query: Mapping[str, str], snapshot: Snapshot) -> Selection:
     sort = query.get("sort", "")
     if sort and _column(snapshot, sort, "sort").listed:
         raise Refused(f"sort: {sort} holds lists; sort by another column", 400)
-    return Selection(facets, ranges, where, sort, query.get("descending", "0") in ("1", "true"))
+    descending = query.get("descending", "0") in ("1", "true")
+    return Selection(facets, ranges, where, sort, descending, _tags(query))
 
 
 def number(query: Mapping[str, str], name: str, default: int, low: int, high: int) -> int:
@@ -98,25 +145,49 @@ def number(query: Mapping[str, str], name: str, default: int, low: int, high: in
     return value
 
 
-def _facet(name: str, chosen: list[Any]) -> tuple[str, list[Any]]:
+def _facet(name: str, chosen: list[Any], value: Callable[[Any], str]) -> str:
     values = [v for v in chosen if v is not None]
-    marks = ", ".join("?" * len(values))
-    terms = [f"{quoted(name)} IS NULL"] if None in chosen else []
+    terms = [f"{_name(name)} IS NULL"] if None in chosen else []
     if values and isinstance(values[0], _Element):
+        texts = [value(str(v)) for v in values]
         # For a few values a test of each takes a fifth of the time of `list_has_any`.
         if len(values) <= _FEW:
-            terms += [f"list_contains({quoted(name)}, ?)"] * len(values)
+            terms += [f"list_contains({_name(name)}, {text})" for text in texts]
         else:
-            terms.append(f"list_has_any({quoted(name)}, [{marks}])")
+            terms.append(f"list_has_any({_name(name)}, [{', '.join(texts)}])")
     elif values:
-        terms.append(f"{quoted(name)} IN ({marks})")
-    return f"({' OR '.join(terms) or 'true'})", [
-        str(v) if isinstance(v, str) else v for v in values
-    ]
+        terms.append(f"{_name(name)} IN ({', '.join(map(value, values))})")
+    if not terms:
+        return "true"
+    return terms[0] if len(terms) == 1 else f"({' OR '.join(terms)})"
+
+
+def _name(name: str) -> str:
+    """A column in SQL, with quotes only where it may need them: people read it."""
+    return name if _PLAIN.fullmatch(name) else quoted(name)
+
+
+def _literal(value: Any) -> str:
+    return literal(value) if isinstance(value, str) else json.dumps(value)
 
 
 class _Element(str):
     """A value that one of the elements of a list must have."""
+
+
+def _tags(query: Mapping[str, str]) -> tuple[str, ...]:
+    try:
+        found = json.loads(query.get("tags") or "[]")
+    except (ValueError, RecursionError):
+        found = None
+    if not isinstance(found, list) or not all(isinstance(tag, str) for tag in found):
+        raise Refused('tags: must be JSON such as ["star", "-reject"]', 400)
+    if len(found) > _FEW:
+        raise Refused(f"tags: more than {_FEW} at once", 400)
+    try:
+        return tuple(dict.fromkeys(tag for tag in found if bare(tag)))
+    except StorageError as error:
+        raise Refused(str(error), 400) from None
 
 
 def _column(snapshot: Snapshot, name: str, where: str) -> Column:

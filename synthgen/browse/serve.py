@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import socket
 from collections.abc import Callable
 from pathlib import Path
@@ -12,9 +13,13 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from synthgen.browse.app import create
 from synthgen.browse.folder import Folder
+from synthgen.browse.public import HOST
+from synthgen.browse.runs import open_beside
 from synthgen.browse.security import is_loopback, new_token
 from synthgen.browse.snapshot import Library, threads
+from synthgen.browse.tagging import Tagging
 from synthgen.browse.thumbnails import Thumbnails
+from synthgen.dataset.tags import tags_folder
 from synthgen.errors import JobError
 
 HEADER_SECONDS = 20.0
@@ -86,12 +91,29 @@ def serve(
     cache_megabytes: int,
     say: Callable[[str], None],
     ready: Callable[[str], None] = lambda address: None,
+    tags_in: Path | None = None,
+    person: str | None = None,
+    public: str | None = None,
+    run: Path | None = None,
 ) -> None:
     """Serve a dataset until interrupted. `say` gets lines for the user, `ready` the address.
 
+    `person` gives tags, which are kept in `tags_in` or the user's own folder; without one they
+    are only shown. `public` is the host of a proxy for which it listens, see `public`: then nobody
+    gives tags, and only those of `tags_in` are shown. `run` is a trained run to show beside it.
+
     Raises `StorageError` if `out` is no dataset, `JobError` if the address cannot be had.
     """
-    library = Library(Folder(out), threads())
+    if public is not None:
+        if not HOST.fullmatch(public):
+            raise JobError("--public", "", public, "give the host of the proxy: data.example.org")
+        if not is_loopback(host):
+            raise JobError("--host", "", host, "with --public it is the proxy that others reach")
+        tags_in, person = tags_in or Path(os.devnull), None
+    beside = None if run is None else open_beside(run, out)
+    added = beside.columns() if beside else {}
+    library = Library(Folder(out, hidden=public is not None), threads(), added)
+    tagging = Tagging(library, tags_in or tags_folder(), person)
     token = None if is_loopback(host) else new_token()
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
@@ -102,8 +124,12 @@ def serve(
     port = listening.getsockname()[1]
     shown = f"[{host}]" if ":" in host else host
     address = f"http://{shown}:{port}/" + (f"?token={token}" if token else "")
-    app = create(library, Thumbnails(limit=cache_megabytes << 20), token, port)
+    app = create(
+        library, Thumbnails(limit=cache_megabytes << 20), token, port, tagging, public, beside
+    )
     say(f"{out}: {address} (Ctrl+C to stop)")
+    if public:
+        say(f"read-only, for a proxy that others reach as {public}")
     if token:
         say("anyone with this address, token included, can see the dataset")
     ready(address)

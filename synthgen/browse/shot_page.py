@@ -23,7 +23,7 @@ def describe(
         'SELECT "key" FROM manifest WHERE subset = ? AND subject = ? AND NOT failed LIMIT 5000',
         [subset, row["subject"]],
     )
-    folder_name, address = shlex.quote(str(folder.given)), shlex.quote(f"{subset}/{key}")
+    folder_name, address = shlex.quote(folder.shown), shlex.quote(f"{subset}/{key}")
     answer: dict[str, Any] = {
         "key": key,
         "subset": subset,
@@ -50,7 +50,7 @@ def describe(
         answer["passes"] = ["image", *PICTURES]
         answer["values"] = [*linear, "image", *(p.name for p in PASSES)]
     except Broken as reason:
-        answer["broken"] = str(reason)
+        answer["broken"] = folder.without_paths(str(reason))
     return answer
 
 

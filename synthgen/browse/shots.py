@@ -32,6 +32,8 @@ def page(
     condition, values = selection.condition()
     if snapshot.in_memory:
         found = snapshot.matches.rows(condition, values, selection.order())
+        if selection.kept is not None:
+            found = found[selection.kept[found]]
         wanted = found[offset : offset + limit].tolist()
         rows = snapshot.sandbox.ask(
             f"SELECT rowid, {columns} FROM manifest WHERE rowid IN (SELECT unnest(?::BIGINT[]))",

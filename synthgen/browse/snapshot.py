@@ -14,7 +14,7 @@ import hashlib
 import os
 import threading
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +26,7 @@ from synthgen.browse.fields import LEFT_OUT, Column, column
 from synthgen.browse.folder import Folder, Refused
 from synthgen.browse.matches import Matches
 from synthgen.browse.sandbox import Sandbox
-from synthgen.dataset import ledger, manifest
+from synthgen.dataset import ledger, lights, manifest
 from synthgen.dataset.columns import IDENTITY, PLACE, schema_of
 from synthgen.dataset.database import quoted
 from synthgen.dataset.folder import NAME, StorageError
@@ -61,8 +61,11 @@ class Library:
     Raises `StorageError` if the folder is no dataset, or its manifest cannot be read.
     """
 
-    def __init__(self, folder: Folder, threads: int = 2) -> None:
-        self.folder, self.threads = folder, threads
+    def __init__(
+        self, folder: Folder, threads: int = 2, added: dict[str, str] | None = None
+    ) -> None:
+        """`added` are more columns: SQL expressions by name."""
+        self.folder, self.threads, self.added = folder, threads, added or {}
         self._lock = threading.Lock()
         self._looked = time.monotonic()
         self._pause = _SETTLE
@@ -71,9 +74,9 @@ class Library:
         self._answered = threading.Event()
         self._loading: threading.Thread | None = None
         try:
-            self._current = _read(folder, Sandbox(threads), in_memory=False)
+            self._current = _read(folder, Sandbox(threads), False, self.added)
             if self._current.shots <= _SMALL:
-                self._current = _read(folder, Sandbox(threads), in_memory=True)
+                self._current = _read(folder, Sandbox(threads), True, self.added)
                 return
         except (duckdb.Error, Refused) as error:
             reason = " ".join(str(error).splitlines()[:1])[:200]
@@ -121,7 +124,7 @@ class Library:
         start = time.monotonic()
         with contextlib.suppress(duckdb.Error, StorageError, Refused, OSError):
             self._filling = Sandbox(self.threads)
-            loaded = _read(self.folder, self._filling, in_memory=True)
+            loaded = _read(self.folder, self._filling, True, self.added)
             with self._lock:
                 self._current = loaded
             self._prepare(loaded)
@@ -151,7 +154,7 @@ def revision(folder: Folder) -> str:
     return digest.hexdigest()[:16]
 
 
-def _read(folder: Folder, sandbox: Sandbox, in_memory: bool) -> Snapshot:
+def _read(folder: Folder, sandbox: Sandbox, in_memory: bool, added: dict[str, str]) -> Snapshot:
     name = revision(folder)
     info = folder.description()
     run = sandbox.connection.execute
@@ -173,7 +176,9 @@ def _read(folder: Folder, sandbox: Sandbox, in_memory: bool) -> Snapshot:
         raise Refused(f"lists {rows:,} shots; at most {manifest.MOST_SHOTS:,} are read")
     described = run(f"DESCRIBE SELECT * FROM {source}").fetchall()
     kept = [n for n, *_ in described if n not in LEFT_OUT | {"failed", "reason"}]
-    names = ", ".join(quoted(n) for n in kept)
+    lit = lights.columns(info.get("environments"), {n: kind for n, kind, *_ in described})
+    more = {n: sql for n, sql in (lit | added).items() if n not in kept}
+    names = ", ".join([*map(quoted, kept), *(f"{sql} AS {quoted(n)}" for n, sql in more.items())])
     failures = _failures(folder, info, sandbox)
     body = (
         f"SELECT {names}, false AS failed, NULL::VARCHAR AS reason FROM {source} "
@@ -184,6 +189,8 @@ def _read(folder: Folder, sandbox: Sandbox, in_memory: bool) -> Snapshot:
         run("DROP TABLE IF EXISTS waiting")
     sandbox.lock([] if in_memory else files)
     columns = {n: column(n, kind) for n, kind, *_ in run("DESCRIBE manifest").fetchall()}
+    if in_memory:
+        columns = _without_constants(sandbox, columns)
     ((shots, frames),) = sandbox.ask(
         "SELECT count(*), coalesce(sum(len(environments)), 0) FROM manifest WHERE NOT failed"
     )
@@ -199,6 +206,22 @@ def _read(folder: Folder, sandbox: Sandbox, in_memory: bool) -> Snapshot:
         Matches(sandbox, in_memory),
         Codes(sandbox),
     )
+
+
+def _without_constants(sandbox: Sandbox, columns: dict[str, Column]) -> dict[str, Column]:
+    """The columns, those marked that have one value throughout: no filter would change anything."""
+    asked = [name for name, c in columns.items() if c.kind in ("facet", "range") and not c.listed]
+    shots = "FILTER (WHERE NOT failed)"
+    terms = [
+        f"count({name}) {shots} = 0 OR (min({name}) {shots} IS NOT DISTINCT FROM max({name}) "
+        f"{shots} AND count({name}) {shots} = count(*) {shots})"
+        for name in map(quoted, asked)
+    ]
+    if not terms:
+        return columns
+    (found,) = sandbox.ask(f"SELECT {', '.join(terms)} FROM manifest")
+    constant = {name for name, one in zip(asked, found, strict=True) if one} - {"failed"}
+    return {n: replace(c, constant=n in constant) for n, c in columns.items()}
 
 
 def _parquet(folder: Folder, info: dict[str, Any], subset: str) -> list[Path]:

@@ -296,6 +296,8 @@ def status(out: Place) -> Status:
             subset.in_shards += len(record.subjects)
             subset.shards += 1
             subset.bytes += record.bytes
+        if info.selections:
+            subset.subjects = subset.in_shards
         subsets.append(subset)
     result = Status(folder.root, info.name, info.complete, subsets, failures=failures(folder))
     by_name = {s.name: s for s in subsets}

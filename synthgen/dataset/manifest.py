@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from assets_procedural.conventions.errors import one_line
 from assets_procedural.conventions.files import read_regular, replacing
-from synthgen.dataset import database, ledger
+from synthgen.dataset import database, ledger, lights
 from synthgen.dataset.codecs import encode_json
 from synthgen.dataset.columns import misfits, schema, schema_of
 from synthgen.dataset.folder import DamageError, DatasetFolder, Place, StorageError
@@ -101,14 +101,14 @@ def write_part(path: Path, rows: list[dict[str, Any]]) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     try:
         source.write_bytes(encode_rows(rows))
-        _write_parquet(path, [source], _json_source(source, schema_of(rows)))
+        write_parquet(path, [source], _json_source(source, schema_of(rows)))
     finally:
         source.unlink(missing_ok=True)
 
 
 def write_answer(path: Path, rows: Path, columns: dict[str, str]) -> None:
     """Make a Parquet file of JSON lines; `columns` has DuckDB's type of each, in order."""
-    _write_parquet(path, [rows], _json_source(rows, columns))
+    write_parquet(path, [rows], _json_source(rows, columns))
 
 
 def read_rows(path: Path, shard: str | None = None) -> list[dict[str, Any]]:
@@ -124,10 +124,10 @@ def merge(folder: DatasetFolder, subset: str) -> Path:
     """Join the parts of all committed shards into the subset's manifest; bounded memory."""
     target = folder.manifest(subset)
     if parts := _parts(folder, subset):
-        _write_parquet(target, parts, f"SELECT * FROM {parquet_source(parts)}")
+        write_parquet(target, parts, f"SELECT * FROM {parquet_source(parts)}")
     else:
         columns = (f"NULL::{kind} AS {database.quoted(n)}" for n, kind in schema((), ()).items())
-        _write_parquet(target, [], f"SELECT {', '.join(columns)} LIMIT 0")
+        write_parquet(target, [], f"SELECT {', '.join(columns)} LIMIT 0")
     return target
 
 
@@ -139,7 +139,8 @@ def _rows_of(shards: Iterable[tuple[ShardFiles, ShardRecord]]) -> list[Path]:
     return [files.rows for files, record in shards if record.subjects and files.rows.exists()]
 
 
-def _write_parquet(target: Path, sources: list[Path], query_text: str) -> None:
+def write_parquet(target: Path, sources: list[Path], query_text: str) -> None:
+    """Commit what a query over files answers, which reads `sources` alone, as Parquet."""
     import duckdb
 
     try:
@@ -228,7 +229,7 @@ def _create_views(
             fill(connection, f"waiting {number}", schema_of(rows), rows)
             sources.append(f"SELECT * FROM {database.quoted(f'waiting {number}')}")
         if sources:
-            source = " UNION ALL BY NAME ".join(sources)
+            source = _with_light(connection, " UNION ALL BY NAME ".join(sources), info)
             views.append(source)
             if subset.casefold() not in known:
                 known.add(subset.casefold())
@@ -239,6 +240,14 @@ def _create_views(
     ((shots,),) = connection.execute("SELECT count(*) FROM manifest").fetchall()
     if shots > MOST_SHOTS:
         raise StorageError(f"{folder}: lists {shots:,} shots; at most {MOST_SHOTS:,} are read")
+
+
+def _with_light(connection: duckdb.DuckDBPyConnection, source: str, info: Description) -> str:
+    """A query of rows, and what `lights` adds to them."""
+    described = connection.execute(f"DESCRIBE {source}").fetchall()
+    lit = lights.columns(info.environments, {name: kind for name, kind, *_ in described})
+    added = "".join(f", {sql} AS {name}" for name, sql in lit.items())
+    return f"SELECT *{added} FROM ({source})" if lit else source
 
 
 def _waiting_rows(folder: DatasetFolder, subset: str, keys: list[str]) -> list[dict[str, Any]]:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,6 +20,7 @@ import numpy as np
 from assets_procedural.conventions.errors import one_line
 from assets_procedural.conventions.files import read_regular
 from synthgen.dataset import database, manifest
+from synthgen.dataset import tags as marks
 from synthgen.dataset.codecs import LARGEST, decode_exr
 from synthgen.dataset.folder import (
     DamageError,
@@ -249,10 +250,15 @@ def open_dataset(
     subset: str | None = None,
     split: str | None = None,
     where: str | None = None,
+    tags: Sequence[str] = (),
+    tags_in: Place | None = None,
 ) -> Dataset:
     """Open a dataset folder; `where` is an SQL condition on the manifest's columns.
 
-    Raises `StorageError` if the folder is no dataset, has no such subset or split, or the
+    Of `tags`, such as ["star", "-reject"], a shot has every one, and none that begins with "-".
+    They are read from the user's data folder, or from `tags_in`; see `synthgen.dataset.tags`.
+
+    Raises `StorageError` if the folder is no dataset, has no such subset, split or tag, or the
     condition is wrong.
     """
     import duckdb
@@ -276,18 +282,29 @@ def open_dataset(
         try:
             if not database.only_reads(connection, sql):
                 raise StorageError("where: must be a single condition, not several statements")
-            return Dataset(
-                folder,
-                description,
-                database.interruptible(
-                    connection, lambda: _index(folder, description, connection.execute(sql, values))
-                ),
+            index = database.interruptible(
+                connection, lambda: _index(folder, description, connection.execute(sql, values))
             )
         except duckdb.Error as error:
             if where is None:
                 reason = f"{folder}: the manifest cannot be read: {one_line(error)[:200]}"
                 raise DamageError(folder, reason) from None
             raise StorageError(f"where: {' '.join(str(error).split())}") from None
+    if tags:
+        index = _tagged(folder, index, tags, tags_in)
+    return Dataset(folder, description, index)
+
+
+def _tagged(folder: DatasetFolder, index: Index, tags: Sequence[str], place: Place | None) -> Index:
+    keys = [f"{index.subset(i)}/{key}" for i, key in enumerate(index.key)]
+    kept = np.ones(len(keys), bool)
+    for tag, shots in zip(tags, marks.choose(folder, tags, place), strict=True):
+        has = np.fromiter((key in shots for key in keys), bool, len(keys))
+        kept &= ~has if tag.startswith("-") else has
+    used, shard = np.unique(index.shard[kept], return_inverse=True)
+    shards = tuple(index.shards[number] for number in used)
+    key, offset, size = index.key[kept], index.offset[kept], index.size[kept]
+    return Index(key, shard.astype(np.int32), offset, size, shards)
 
 
 def _index(folder: DatasetFolder, description: Description, rows: Any) -> Index:

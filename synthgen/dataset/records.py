@@ -117,6 +117,20 @@ class Quarantined(Record):
     reason: Words = ""
 
 
+class Selection(Record):
+    """What a dataset that was taken from another has of it.
+
+    `source` is the sha256 of the other's dataset.json; the rest is what was asked of it, as
+    `open_dataset` takes it.
+    """
+
+    source: str
+    where: str = ""
+    subset: str = ""
+    split: str = ""
+    tags: list[str] = []
+
+
 class Description(Record):
     """dataset.json: what the dataset is and where it comes from.
 
@@ -124,6 +138,9 @@ class Description(Record):
     given. `files` holds sha256 by path: of panoramas from the start, of manifests too when the
     dataset is complete. From `counts` on, only a complete dataset has the fields; `counts` is by
     subset and split, `checksums` names the list of all its files.
+
+    `selections`, in the order in which they were made, say that only some shots of the job are
+    here. Such a dataset is complete as it is, and nothing is rendered into it.
     """
 
     format: int | None = None
@@ -141,6 +158,7 @@ class Description(Record):
     quarantined: list[Quarantined] = []
     shards: list[ShardSeal] = []
     checksums: str = ""
+    selections: list[Selection] = []
 
     @model_validator(mode="after")
     def _named(self) -> Self:

@@ -43,6 +43,7 @@ def repair(
         hashes = _hashes(folder)
         lines = _restore_description(folder, hashes)
         info = read_description(folder)
+        publish.check_whole(folder, info)
         if info.renderer != renderer:
             raise StorageError(f"{folder}: was rendered by {info.renderer!r}, not by {renderer}")
         publish.check_code(folder, info)

@@ -12,7 +12,7 @@ import math
 import os
 import shutil
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, Literal, TextIO
 
@@ -78,13 +78,16 @@ def _write_csv(answer: Answer, file: TextIO) -> None:
     lines = csv.writer(file, lineterminator="\n")
     lines.writerow([shown(name) for name in answer.column_names])
     for rows in answer.chunks:
-        lines.writerows([_cell(v) if v is not None else "" for v in row] for row in rows)
+        lines.writerows([cell(v, shown) for v in row] for row in rows)
 
 
-def _cell(value: Any) -> Any:
+def cell(value: Any, shown: Callable[[str], str] = str) -> Any:
+    """A value as a cell of CSV; texts are written as `shown` has them."""
     kind = type(value)
+    if value is None:
+        return ""
     if kind is str:
-        return console.printable(value) if sys.stdout.isatty() else value
+        return shown(value)
     if kind is int or kind is float:
         return value
     return _text(value)

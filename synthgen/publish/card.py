@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from assets_procedural.conventions import console
 from synthgen.dataset import passes
-from synthgen.dataset.folder import DatasetFolder
+from synthgen.dataset.folder import DatasetFolder, brief
 from synthgen.dataset.records import Counts, Description
 from synthgen.planning.plan import SPLITS
 from synthgen.publish.licences import licence
@@ -62,6 +62,7 @@ def card(info: Description, people: int) -> str:
         f"{job['resolution']}², rendered by synthgen {info.code['version']} with seed "
         f"{job['seed']}. Every person is made of parameters; nobody is real.",
         "",
+        *_selected(info),
         "| subset | kind | split | subjects | shots | images |",
         "|---|---|---|---:|---:|---:|",
     ]
@@ -112,6 +113,23 @@ def card(info: Description, people: int) -> str:
         for entry in info.environments[:100]
     ]
     return "\n".join(lines) + "\n"
+
+
+def _selected(info: Description) -> list[str]:
+    """What a selection of another dataset has of it; nothing of a whole one."""
+    lines = []
+    for each in info.selections:
+        asked = {"subset": each.subset, "split": each.split, "where": each.where}
+        asked["tags"] = ", ".join(each.tags)
+        said = "; ".join(
+            f"{name} `{brief(value.replace('`', ' '))}`" for name, value in asked.items() if value
+        )
+        lines += [
+            f"A selection of the dataset whose dataset.json has the sha256 `{each.source}`: "
+            f"{said or 'all of it'}.",
+            "",
+        ]
+    return lines
 
 
 def _fields(info: Description) -> dict[str, str]:

@@ -27,6 +27,7 @@ def extend(out: Place, plan: Plan, environments: list[dict[str, Any]], renderer:
     folder = DatasetFolder(out)
     with ledger.slice_lock(folder, (1, 1)), ledger.shared_files_lock(folder):
         info = read_description(folder)
+        publish.check_whole(folder, info)
         stored = publish.stored_plan(folder)
         if not _grows(stored.job, plan.job):
             publish.check(folder, plan, environments, renderer)

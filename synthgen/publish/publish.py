@@ -11,6 +11,7 @@ import hashlib
 import json
 import subprocess
 from collections.abc import Iterator
+from dataclasses import replace
 from datetime import UTC, datetime
 from fnmatch import fnmatch
 from pathlib import Path
@@ -116,6 +117,7 @@ def check(
             )
         return None
     info = read_description(folder)
+    check_whole(folder, info)
     if info.format != FORMAT:
         raise StorageError(
             f"{folder.description}: format {info.format}, this version writes {FORMAT}; "
@@ -146,6 +148,15 @@ def check(
             f"{folder}: holds another job ({shown}); give another --out folder, or that job"
         )
     return info
+
+
+def check_whole(folder: DatasetFolder, info: Description) -> None:
+    """Raise `StorageError` for a selection of another dataset: nothing is rendered into one."""
+    if info.selections:
+        raise StorageError(
+            f"{folder}: is a selection of another dataset (synthgen subset), into which nothing "
+            "is rendered; select again from that one"
+        )
 
 
 def _foreign(folder: DatasetFolder) -> Iterator[str]:
@@ -209,6 +220,20 @@ def stored_plan(out: Place) -> Plan:
         raise StorageError(f"{path}: unusable job: {reason}") from None
 
 
+def shards(folder: DatasetFolder, info: Description, plan: Plan) -> list[ShardPlan]:
+    """The shards that a dataset is to hold: all of its plan, or those of a selection's records."""
+    every = [shard for subset in plan.job.subsets for shard in plan.shards(subset)]
+    if not info.selections:
+        return every
+    held = []
+    for shard in every:
+        if record := ledger.record_of(folder, shard.name):
+            here = {*record.subjects, *record.failed}
+            chosen = tuple(i for i in shard.subjects if subject_key(i) in here)
+            held.append(replace(shard, subjects=chosen))
+    return held
+
+
 def record_panoramas(folder: DatasetFolder, hashes: dict[str, str]) -> None:
     """Record the sha256 of stored panoramas by path."""
     info = read_description(folder)
@@ -239,11 +264,12 @@ def complete(out: Place) -> bool:
     """
     folder = DatasetFolder(out)
     plan, info = stored_plan(folder), read_description(folder)
-    shards, counts, files, hashes = [], {}, {}, {}
+    seals, counts, files, hashes = [], {}, {}, {}
+    held = shards(folder, info, plan)
     people: dict[str, set[str]] = {}  # who is there, by the subset that they come from
     for subset in plan.job.subsets:
         tally = {split: {"subjects": 0, "shots": 0, "frames": 0} for split in SPLITS}
-        for shard in plan.shards(subset):
+        for shard in (shard for shard in held if shard.subset == subset):
             record = ledger.shard_record(folder, shard.name)
             if record is None or lacks_subjects(record, shard):
                 return False
@@ -253,7 +279,7 @@ def complete(out: Place) -> bool:
             tally[shard.split]["frames"] += record.frames
             people.setdefault(plan.people_of(subset), set()).update(record.subjects)
             if record.subjects:
-                shards.append(ShardSeal(tar=record.tar, bytes=record.bytes, sha256=record.sha256))
+                seals.append(ShardSeal(tar=record.tar, bytes=record.bytes, sha256=record.sha256))
         counts[subset] = {split: Counts(**tally[split]) for split in SPLITS}
     for subset in plan.job.subsets:
         path = manifest.merge(folder, subset)
@@ -273,7 +299,7 @@ def complete(out: Place) -> bool:
             "complete": True,
             "counts": counts,
             "quarantined": quarantined,
-            "shards": shards,
+            "shards": seals,
             "files": files,
             "checksums": folder.checksums.name,
         }

@@ -17,7 +17,7 @@ from assets_procedural.conventions.files import read_regular, sha256
 from synthgen.dataset import columns, database, ledger, manifest
 from synthgen.dataset.codecs import LARGEST, decode_exr
 from synthgen.dataset.folder import DatasetFolder, Place, StorageError
-from synthgen.dataset.records import FORMATS, description_json
+from synthgen.dataset.records import FORMATS, description_json, read_description
 from synthgen.planning.plan import SPLITS, Plan, ShardPlan
 from synthgen.publish import checksums, publish
 from synthgen.publish.verify_shard import UNCHECKED, check_shard, unfailing
@@ -48,7 +48,7 @@ def verify(out: Place, workers: int | None = None) -> list[str]:
     problems += [p for p in unfailing(name, _check_list(folder, info, plan)) if p not in problems]
     # Another version may plan other people from the same seed: then only its own can tell.
     same_code = info.get("code") == publish.code_version()
-    planned = [s for subset in plan.job.subsets for s in plan.shards(subset)]
+    planned = publish.shards(folder, read_description(folder), plan)
     tables = {}
     for subset in console.track(plan.job.subsets, "verifying manifests"):
         path = folder.manifest(subset)
@@ -101,6 +101,8 @@ def _check_files(folder: DatasetFolder, info: dict[str, Any], plan: Plan) -> Ite
     panoramas = {folder.relative(folder.environment(i)) for i in plan.environment_ids}
     manifests = {folder.relative(folder.manifest(subset)) for subset in plan.job.subsets}
     recorded = info.get("files", {})
+    if info.get("selections"):  # which has those of its own shots alone
+        panoramas &= recorded.keys()
     names = sorted(panoramas | manifests | set(recorded))
     for name in console.track(names, "verifying panoramas and manifests"):
         path = folder.inside(name)

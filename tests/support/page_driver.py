@@ -67,12 +67,13 @@ def _mesh() -> bytes:
 
 
 @contextlib.contextmanager
-def served(folder: Path, cache: Path) -> Iterator[str]:
-    """The address of a server of the dataset; `cache` holds its thumbnails and lightmaps."""
-    environment = os.environ | {"SYNTHGEN_CACHE": str(cache), "PYTHONUNBUFFERED": "1"}
+def served(folder: Path, cache: Path, *options: str) -> Iterator[str]:
+    """The address of a server of the dataset; `cache` holds thumbnails, lightmaps and tags."""
+    folders = {"SYNTHGEN_CACHE": str(cache), "XDG_DATA_HOME": str(cache / "data")}
+    environment = os.environ | folders | {"PYTHONUNBUFFERED": "1"}
     command = [sys.executable, "-c", "from synthgen.cli import main; main()"]
     process = subprocess.Popen(
-        [*command, "browse", str(folder), "--port", "0"],
+        [*command, "browse", str(folder), "--port", "0", *options],
         cwd=ROOT,
         env=environment,
         stdout=subprocess.PIPE,

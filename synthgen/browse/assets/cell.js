@@ -1,7 +1,8 @@
 // One cell of the grid: a shot's thumbnail and caption, or why there is none.
 
 import { ask, path, query } from "./api.js";
-import { h } from "./dom.js";
+import { button, h } from "./dom.js";
+import { badges } from "./tags.js";
 
 /** Height of a caption and gap between cells, in pixels. */
 export const CAPTION = 22;
@@ -13,7 +14,11 @@ export class Cell {
     this.index = index;
     this.image = h("img", { alt: "", draggable: "false" });
     this.text = h("span", { class: "words" });
+    this.from = h("span", { class: "from" });
     this.value = h("span", { class: "sorted" });
+    this.pick = button("", (event) => this.picked(event), { label: "Pick", class: "pickbox" });
+    this.pick.tabIndex = -1;
+    this.badges = h("span", { class: "badges" });
     this.element = h(
       "a",
       {
@@ -25,13 +30,24 @@ export class Cell {
         onclick: (event) => this.clicked(event),
       },
       h("span", { class: "picture" }, this.image),
-      h("span", { class: "caption" }, this.text, this.value),
+      h("span", { class: "caption" }, this.text, this.from, this.value),
+      this.badges,
+      this.pick,
     );
   }
 
+  picked(event) {
+    event.preventDefault();
+    event.stopPropagation();
+    if (!this.row) return;
+    this.grid.active = this.index;
+    this.grid.callbacks.pick(this.row, this.index, event.shiftKey);
+  }
+
   clicked(event) {
+    if (event.shiftKey) return this.picked(event);
     // With a modifier the browser opens a new tab.
-    if (event.ctrlKey || event.metaKey || event.shiftKey || !this.row) return;
+    if (event.ctrlKey || event.metaKey || !this.row) return;
     event.preventDefault();
     this.grid.active = this.index;
     this.grid.callbacks.open(this.row, this.index);
@@ -52,11 +68,27 @@ export class Cell {
     this.row = row;
     const { callbacks } = this.grid;
     this.element.setAttribute("href", callbacks.href(row, this.index));
-    const { label, text, value } = callbacks.caption(row);
+    const { label, text, from, value } = callbacks.caption(row);
+    this.from.textContent = from;
     this.element.setAttribute("aria-label", label);
     this.text.textContent = text;
     this.value.textContent = value;
     this.load();
+    this.mark();
+  }
+
+  /** Shows the row's tags, and whether it is picked. */
+  mark() {
+    if (!this.row) return;
+    const { tags = [] } = this.row;
+    const picked = this.grid.callbacks.picked(this.row);
+    this.element.classList.toggle("picked", picked);
+    this.element.classList.toggle("rejected", tags.includes("reject"));
+    this.pick.setAttribute("aria-pressed", String(picked));
+    this.badges.replaceChildren(...badges(tags));
+    const { label } = this.grid.callbacks.caption(this.row);
+    const said = [label, ...tags, picked ? "picked" : null].filter(Boolean).join(", ");
+    if (!this.element.classList.contains("broken")) this.element.setAttribute("aria-label", said);
   }
 
   async load() {

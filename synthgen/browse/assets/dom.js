@@ -100,3 +100,42 @@ export function bytes(value) {
   }
   return `${Number(value.toPrecision(3))} GB`;
 }
+
+/** A line of code with a button that copies it; `label` says what that does. */
+export function command(text, label) {
+  const code = h("code", { text });
+  return h(
+    "div",
+    { class: "command" },
+    code,
+    copying("Copy", label, () => text, code),
+  );
+}
+
+/**
+ * A button that copies what `text()` returns or resolves to; it says so for a moment.
+ *
+ * @param {Element} shown what is selected instead where the clipboard may not be used
+ */
+export function copying(name, label, text, shown = null) {
+  const copy = button(
+    name,
+    async () => {
+      copy.disabled = true;
+      let said = "Copied";
+      try {
+        await navigator.clipboard.writeText(await text());
+      } catch (error) {
+        said = shown ? "Selected" : error.message;
+        if (shown) getSelection().selectAllChildren(shown);
+      }
+      copy.textContent = said;
+      copy.disabled = false;
+      setTimeout(() => {
+        copy.textContent = name;
+      }, 1500);
+    },
+    { label },
+  );
+  return copy;
+}

@@ -1,11 +1,19 @@
 // The filters beside the grid, in groups of columns. A column is a list of values with their
 // counts, or a histogram. Only columns in open groups are requested.
 
+import { Coverage } from "./coverage.js";
 import { h, number } from "./dom.js";
 import { Histogram } from "./histogram.js";
+import { TagFilter } from "./tags.js";
 
 const SHOWN = 8;
-const OPEN = 1; // groups that are open initially
+const OPEN = ["people", "dataset"]; // groups that are open initially
+// Two columns that are covered, or not, together.
+const MAPS = {
+  light: ["light_azimuth", "light_elevation", "Where the key is"],
+  camera: ["camera_yaw", "camera_pitch", "Where it is seen from"],
+  head: ["head_yaw", "head_pitch", "How the head is turned"],
+};
 
 export class Facets {
   /** @param address the page's `Address`  @param onopen called when a group opens or closes */
@@ -15,33 +23,58 @@ export class Facets {
     this.onopen = onopen;
     this.parts = new Map();
     this.groups = [];
+    this.tags = new TagFilter(address);
   }
 
   /** Builds the filters of a dataset's columns. */
   build(columns) {
+    const { facets, ranges } = this.address.selection;
+    const chosen = ({ name }) => name in facets || name in ranges;
     const grouped = new Map();
     for (const column of columns) {
-      if (column.kind === "other") continue;
+      // What all shots have in common is no choice.
+      if (column.kind === "other" || (column.constant && !chosen(column))) continue;
       if (!grouped.has(column.group)) grouped.set(column.group, []);
       grouped.get(column.group).push(column);
     }
-    const { facets, ranges } = this.address.selection;
-    const last = (name) => Number(name === "other" || name === "cost" || name === "quality");
-    const ordered = [...grouped].sort(([a], [b]) => last(a) - last(b));
+    const open = new Map(this.groups.map(({ name, details }) => [name, details.open]));
     this.parts.clear();
-    this.groups = ordered.map(([name, members], i) => {
+    this.maps = [];
+    this.groups = [...grouped].map(([name, members]) => {
+      const map = this.map(name, new Set(members.map((column) => column.name)));
       const parts = members.map((column) => this.part(column));
-      const chosen = members.some((c) => c.name in facets || c.name in ranges);
       const details = h(
         "details",
-        { class: "group", open: i < OPEN || chosen, ontoggle: () => this.onopen() },
+        {
+          class: "group",
+          open: open.get(name) ?? (OPEN.includes(name) || members.some(chosen)),
+          ontoggle: () => this.onopen(),
+        },
         h("summary", {}, h("span", { text: name }), h("span", { class: "chosen" })),
+        map?.element,
         ...parts,
       );
-      return { details, members };
+      return { name, details, members, map };
     });
     this.problem = h("p", { class: "problem", role: "alert", hidden: true });
-    this.element.replaceChildren(this.problem, ...this.groups.map((group) => group.details));
+    this.element.replaceChildren(
+      this.problem,
+      this.tags.element,
+      ...this.groups.map((group) => group.details),
+    );
+  }
+
+  /** The map of a group's two angles, if it has both. */
+  map(group, names) {
+    const [x, y, title] = MAPS[group] ?? [];
+    if (!names.has(x) || !names.has(y)) return null;
+    const map = new Coverage(title, x, y, (ranges) => {
+      this.address.select({
+        ranges: { ...without(this.address.selection.ranges, x, y), ...ranges },
+      });
+    });
+    this.maps.push(map);
+    return map;
   }
 
   part(column) {
@@ -66,6 +99,13 @@ export class Facets {
       .flatMap(({ members }) => members.map((column) => column.name));
   }
 
+  /** Pairs of columns in open groups, of which maps are drawn. */
+  pairs() {
+    return this.groups
+      .filter(({ details, map }) => details.open && map)
+      .map(({ map }) => `${map.x}:${map.y}`);
+  }
+
   /** Says why there are no counts; those on display may belong to an earlier selection. */
   fail(error) {
     this.problem.textContent = error.message;
@@ -77,6 +117,7 @@ export class Facets {
   show(counts) {
     this.problem.hidden = true;
     this.element.classList.remove("stale");
+    this.tags.show(counts.tags);
     const { facets, ranges } = this.address.selection;
     for (const [name, values] of Object.entries(counts.facets)) {
       const chosen = facets[name] ?? [];
@@ -90,11 +131,26 @@ export class Facets {
       // A column without any value cannot be a filter.
       section.hidden = !histogram.edges.length;
     }
+    for (const pair of counts.pairs ?? []) {
+      this.maps.find(({ x, y }) => x === pair.x && y === pair.y)?.show(pair, ranges);
+    }
     for (const { details, members } of this.groups) {
       const chosen = members.filter((c) => c.name in facets || c.name in ranges).length;
       details.querySelector(".chosen").textContent = chosen ? String(chosen) : "";
     }
   }
+}
+
+/** A value in words: "south asian", "yes", "none". */
+export function said(value, column) {
+  if (value === null) return "none";
+  if (value === "") return "(empty)";
+  if (typeof value === "boolean") return value ? "yes" : "no";
+  return column?.words ? String(value).replaceAll("_", " ") : String(value);
+}
+
+function without(ranges, ...names) {
+  return Object.fromEntries(Object.entries(ranges).filter(([name]) => !names.includes(name)));
 }
 
 /** The values of one column with their counts, most frequent first. */
@@ -151,7 +207,7 @@ class Values {
         onchange: () => this.changed(value, box.checked),
       });
       const count = h("span", { class: "number" });
-      const text = value === null ? "none" : value === "" ? "(empty)" : String(value);
+      const text = said(value, this.column);
       const element = h(
         "label",
         { class: value === null ? "value null" : "value" },

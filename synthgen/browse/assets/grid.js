@@ -16,7 +16,7 @@ export class Grid {
    * @param {HTMLElement} element the element that scrolls
    * @param {object} callbacks `rows(offset, limit, signal)` resolves to {total, rows};
    *   `open(row, index)`, `href(row, index)`, `environment(row)` the picture's number,
-   *   `caption(row)` and `failed(error)`
+   *   `caption(row)`, `picked(row)`, `pick(row, index, range)` and `failed(error)`
    */
   constructor(element, callbacks) {
     this.element = element;
@@ -274,6 +274,11 @@ export class Grid {
       this.settle();
     }
     this.draw();
+  }
+
+  /** Shows anew which shots are picked, and their tags. */
+  mark() {
+    for (const cell of this.cells.values()) cell.mark();
   }
 
   markActive() {

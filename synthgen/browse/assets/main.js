@@ -2,13 +2,15 @@
 
 import { askJson, query } from "./api.js";
 import { button, h, number } from "./dom.js";
-import { Facets } from "./facets.js";
+import { Export } from "./export.js";
+import { Facets, said } from "./facets.js";
 import { Grid } from "./grid.js";
 import { listen } from "./keyboard.js";
 import { Player } from "./player.js";
 import { Address, parameters } from "./selection.js";
 import { ShotView } from "./shot.js";
 import { SubjectView } from "./subject.js";
+import { Tags } from "./tags.js";
 import { Toolbar } from "./toolbar.js";
 
 const GROWING = 5000; // milliseconds between checks of a dataset that is being rendered
@@ -37,9 +39,15 @@ const grid = new Grid(byId("grid"), {
   caption: (row) => {
     const age = row.person_age_years ? `, ${Math.round(row.person_age_years)} years` : "";
     const { sort } = address.selection;
-    const value = sort && sort !== "key" ? number(row[sort] ?? "none") : "";
-    return { text: row.key, value, label: `${row.subset}/${row.key}${age}` };
+    const column = dataset.columns.find(({ name }) => name === sort);
+    const found = row[sort] ?? null;
+    const shown = typeof found === "number" ? number(found) : said(found, column);
+    const value = sort && sort !== "key" ? shown : "";
+    const from = Object.keys(dataset.plan).length > 1 ? row.subset : "";
+    return { text: row.key, from, value, label: `${row.subset}/${row.key}${age}` };
   },
+  picked: (row) => tags.has(row),
+  pick: (row, index, range) => tags.pick(row, index, range),
   revision: () => dataset.revision,
   counted: (total) => {
     toolbar.count(total, dataset.shots);
@@ -61,7 +69,18 @@ const grid = new Grid(byId("grid"), {
 const toolbar = new Toolbar(byId("bar"), byId("chips"), address, {
   resize: (size) => grid.resize(size),
   filters: (shown) => byId("page").classList.toggle("filtering", shown),
+  take: () => taking.open(),
   help: () => byId("help").showModal(),
+});
+const taking = new Export(byId("export"), address, () => grid.total);
+const tags = new Tags(byId("marks"), byId("tag"), address, {
+  grid,
+  current: () => (view ? (view.shot ?? null) : (grid.known(grid.active) ?? null)),
+  changed: (all) => {
+    if (all || address.selection.tags.length) grid.refresh();
+    view?.marked?.(all);
+    count();
+  },
 });
 const facets = new Facets(byId("facets"), address, () => count());
 
@@ -70,11 +89,15 @@ async function count() {
   counting?.abort();
   counting = new AbortController();
   const columns = facets.wanted();
-  if (!columns.length) return;
   try {
     facets.show(
       await askJson(
-        "/api/counts" + query({ ...parameters(address.selection), columns: columns.join(",") }),
+        "/api/counts" +
+          query({
+            ...parameters(address.selection),
+            columns: columns.join(","),
+            pairs: facets.pairs().join(","),
+          }),
         { signal: counting.signal },
       ),
     );
@@ -86,6 +109,7 @@ async function count() {
 
 function select() {
   toolbar.show();
+  tags.clear();
   grid.reset();
   count();
 }
@@ -94,6 +118,7 @@ function select() {
 function open() {
   view?.close();
   view = null;
+  tags.show();
   const { name, subset, id } = address.view;
   const place = byId("view");
   const inGrid = name === "grid";
@@ -128,7 +153,7 @@ function open() {
     );
   if (name === "shot") {
     const neighbour = (index) => grid.row(index);
-    view = new ShotView(place, address, dataset, neighbour, fail);
+    view = new ShotView(place, address, dataset, neighbour, tags, fail);
     const at = Number(address.view.options.at);
     if (Number.isInteger(at)) grid.active = at;
   } else if (name === "subject") view = new SubjectView(place, address, fail);
@@ -140,7 +165,9 @@ async function watch() {
   try {
     const now = await askJson("/api/dataset");
     const grown = now.revision !== dataset.revision;
+    const columns = JSON.stringify(dataset.columns);
     dataset = { ...now };
+    if (JSON.stringify(dataset.columns) !== columns) facets.build(dataset.columns);
     toolbar.state.textContent = state(now);
     if (grown) {
       grid.refresh();
@@ -179,6 +206,8 @@ async function start() {
   toolbar.build(dataset);
   facets.build(dataset.columns);
   listen(byId("help"), {
+    take: () => taking.open(),
+    tag: (key) => tags.key(key),
     search: () => {
       address.close();
       toolbar.where.focus();
@@ -190,6 +219,7 @@ async function start() {
     },
     view: () => view,
   });
+  tags.load().catch((error) => tags.say(error.message));
   address.addEventListener("selection", select);
   address.addEventListener("view", open);
   select();

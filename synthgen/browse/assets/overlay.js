@@ -17,6 +17,8 @@ const LINES = [
   [60, 67, true],
 ];
 
+const LARGEST = 4096; // pixels of a side
+
 export class Overlay {
   /** @param shot the server's description of a shot */
   constructor(shot) {
@@ -44,7 +46,12 @@ export class Overlay {
   /** Draws into a canvas over the picture, at the resolution of the screen. */
   async draw(canvas) {
     const box = canvas.getBoundingClientRect();
-    const density = Math.min(devicePixelRatio || 1, 2);
+    // Sharp where it is magnified, too, up to what a canvas may hold.
+    const density = Math.min(
+      devicePixelRatio || 1,
+      2,
+      LARGEST / Math.max(1, box.width, box.height),
+    );
     canvas.width = Math.max(1, Math.round(box.width * density));
     canvas.height = Math.max(1, Math.round(box.height * density));
     const { width, height } = this.shot.meta.camera;

@@ -2,6 +2,7 @@
 
 import { askArray, path, query } from "./api.js";
 import { h } from "./dom.js";
+import { Zoom } from "./zoom.js";
 
 export class PassView {
   /**
@@ -14,6 +15,7 @@ export class PassView {
     this.shot = shot;
     this.parts = new Map(dataset.part_names.map((part) => [part.id, part]));
     this.passes = new Map(dataset.passes.map((pass) => [pass.name, pass]));
+    this.dataset = dataset;
     this.overlay = overlay;
     this.picked = picked;
     this.values = new Map();
@@ -21,6 +23,10 @@ export class PassView {
     this.readout = h("dl", { class: "readout", "aria-label": "Values under the pointer" });
     this.legend = h("ul", { class: "legend", hidden: true, "aria-label": "Parts" });
     this.element = h("div", { class: "passes" }, this.figures, this.legend, this.readout);
+    this.zoom = new Zoom(this.figures, () => {
+      clearTimeout(this.still);
+      this.still = setTimeout(() => this.redraw(), 120);
+    });
     this.resizing = new ResizeObserver(() => this.redraw());
     this.resizing.observe(this.figures);
     this.idle();
@@ -36,6 +42,7 @@ export class PassView {
   show(pass, environment, beside) {
     this.pass = pass;
     const { environments } = this.shot;
+    if (pass === "run") return this.run(environment);
     const many = beside && pass === "image" && environments.length > 1;
     const shown = many ? environments.map((_, e) => e) : [environment];
     this.figures.replaceChildren(...shown.map((e) => this.figure(pass, e, many)));
@@ -44,6 +51,20 @@ export class PassView {
     if (pass === "parts") this.showLegend();
     this.mark(environment);
     this.redraw();
+  }
+
+  /** Shows what a trained run makes of the shot, beside the truth. */
+  run(environment) {
+    const pictures = this.dataset.run;
+    const figures = pictures.map((name) => {
+      const figure = this.figure(`run_${name}`, environment, false);
+      const words = name === "difference" ? "difference ×4" : name;
+      figure.append(h("figcaption", {}, h("b", { text: words })));
+      return figure;
+    });
+    this.figures.replaceChildren(...figures);
+    this.figures.style.setProperty("--count", String(pictures.length));
+    this.legend.hidden = true;
   }
 
   figure(pass, e, many) {
@@ -64,8 +85,12 @@ export class PassView {
           onpointerdown: (event) => this.read(event, image, e),
           onpointerleave: () => this.idle(),
         },
-        image,
-        h("canvas", { class: "overlay", "aria-hidden": "true" }),
+        h(
+          "div",
+          { class: "magnified" },
+          image,
+          h("canvas", { class: "overlay", "aria-hidden": "true" }),
+        ),
       ),
       pass === "image" ? this.caption(use, e, many) : null,
     );
@@ -168,6 +193,7 @@ export class PassView {
   }
 
   read(event, image, environment) {
+    if (this.pass === "run") return; // of another size, and not stored
     const box = image.getBoundingClientRect();
     const { width, height } = this.shot.meta.camera;
     const x = Math.floor(((event.clientX - box.left) / box.width) * width);
@@ -208,6 +234,7 @@ export class PassView {
 
   close() {
     this.resizing.disconnect();
+    clearTimeout(this.still);
     this.again = null;
   }
 }

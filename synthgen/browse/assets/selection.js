@@ -10,6 +10,7 @@ export const NOTHING = Object.freeze({
   where: "",
   sort: "",
   descending: false,
+  tags: [],
 });
 export const GRID = Object.freeze({ name: "grid", subset: "", id: "", options: {} });
 const VIEWS = ["shot", "subject", "play"];
@@ -22,6 +23,7 @@ export function parameters(selection) {
   if (selection.where) result.where = selection.where;
   if (selection.sort) result.sort = selection.sort;
   if (selection.sort && selection.descending) result.descending = "1";
+  if (selection.tags.length) result.tags = JSON.stringify(selection.tags);
   return result;
 }
 
@@ -34,6 +36,7 @@ export function parseSelection(search) {
     where: query.get("where") ?? "",
     sort: query.get("sort") ?? "",
     descending: query.get("descending") === "1",
+    tags: list(query.get("tags")),
   };
 }
 
@@ -49,6 +52,16 @@ function dictionary(text, holds) {
     return Object.fromEntries(Object.entries(value).filter(([, item]) => holds(item)));
   } catch {
     return {};
+  }
+}
+
+/** The texts in a JSON list; what is none is ignored. */
+function list(text) {
+  try {
+    const value = JSON.parse(text ?? "[]");
+    return Array.isArray(value) ? value.filter((item) => typeof item === "string") : [];
+  } catch {
+    return [];
   }
 }
 

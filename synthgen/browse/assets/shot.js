@@ -1,20 +1,22 @@
 // One shot in full: its passes, light and metadata, and the way to its neighbours.
 
 import { askJson, path } from "./api.js";
-import { button, h, segments } from "./dom.js";
+import { button, command, h, number, segments } from "./dom.js";
 import { LightPanel } from "./light.js";
 import { members, metadata } from "./metadata.js";
 import { Overlay } from "./overlay.js";
 import { PassView } from "./passes.js";
+import { badges } from "./tags.js";
 
 export class ShotView {
   /**
    * @param address the page's `Address`, showing a view `shot`
    * @param dataset the server's description of the dataset
    * @param neighbour `neighbour(index)` resolves to the row at an index of the selection, or null
+   * @param tags the page's `Tags`
    */
-  constructor(element, address, dataset, neighbour, fail) {
-    Object.assign(this, { element, address, dataset, neighbour });
+  constructor(element, address, dataset, neighbour, tags, fail) {
+    Object.assign(this, { element, address, dataset, neighbour, tags });
     this.closed = false;
     this.start().catch((error) => {
       if (!this.closed) fail(error);
@@ -32,6 +34,10 @@ export class ShotView {
     this.environment = Math.min(Number(options.environment) || 0, shot.environments.length - 1);
     this.labels = new Map(this.dataset.passes.map((p) => [p.name, p.label]));
     this.passes = shot.passes.filter((p) => this.labels.get(p));
+    if (this.dataset.run.length) {
+      this.labels.set("run", "Model");
+      this.passes.push("run");
+    }
     this.pass = this.passes.includes(options.pass) ? options.pass : "image";
     this.beside = options.one !== "1";
     this.overlay = new Overlay(shot);
@@ -53,6 +59,7 @@ export class ShotView {
         h(
           "div",
           { class: "side" },
+          this.errors(),
           this.siblings(),
           this.reproduce(),
           metadata(shot.meta),
@@ -68,6 +75,8 @@ export class ShotView {
   }
 
   header(subset, id, subject) {
+    this.badges = h("span", { class: "badges" });
+    this.marked();
     this.previous = button("←", () => this.step(-1), { label: "Previous shot in the selection" });
     this.next = button("→", () => this.step(1), { label: "Next shot in the selection" });
     this.previous.disabled = this.next.disabled = this.at === null;
@@ -78,12 +87,24 @@ export class ShotView {
       h("h1", { text: `${subset}/${id}` }),
       this.previous,
       this.next,
+      this.badges,
       h("span", { class: "spring" }),
+      h("span", { class: "row tagging" }, ...this.tags.buttons()),
       button("Subject in 3D", () => this.address.show("subject", subset, subject)),
       button("Play", () =>
         this.address.show("play", subset, subject, { environment: String(this.environment ?? 0) }),
       ),
     );
+  }
+
+  /** Shows the shot's tags, which have changed; `unknown` if the server must say which it has. */
+  async marked(unknown = false) {
+    if (unknown) {
+      const { subset, key } = this.shot;
+      const now = await askJson(path("api", "shot", subset, key));
+      Object.assign(this.shot, { tags: now.tags, mine: now.mine });
+    }
+    this.badges.replaceChildren(...badges(this.shot.tags));
   }
 
   broken(reason) {
@@ -175,6 +196,25 @@ export class ShotView {
     this.light.use(environment);
   }
 
+  /** What the run got wrong in this shot, if it was measured. */
+  errors() {
+    const found = Object.entries(this.shot.errors ?? {});
+    if (!found.length) return null;
+    return h(
+      "section",
+      { class: "panel", "aria-label": "Errors of the run" },
+      h("h2", { text: "Errors of the run" }),
+      h(
+        "dl",
+        { class: "table" },
+        ...found.flatMap(([title, value]) => [
+          h("dt", { text: title }),
+          h("dd", { class: "number", text: value === null ? "none" : number(value) }),
+        ]),
+      ),
+    );
+  }
+
   siblings() {
     const { subset, subject } = this.shot;
     const list = this.shot.siblings.map((id) => {
@@ -205,29 +245,11 @@ export class ShotView {
   }
 
   reproduce() {
-    const copy = button(
-      "Copy",
-      async () => {
-        try {
-          await navigator.clipboard.writeText(this.shot.command);
-          copy.textContent = "Copied";
-        } catch {
-          // Without permission to use the clipboard, at least select the command.
-          getSelection().selectAllChildren(code);
-          copy.textContent = "Selected";
-        }
-        setTimeout(() => {
-          copy.textContent = "Copy";
-        }, 1500);
-      },
-      { label: "Copy the command that renders this shot again" },
-    );
-    const code = h("code", { text: this.shot.command });
     return h(
       "section",
       { class: "panel", "aria-label": "Reproduce" },
       h("h2", { text: "Render it again" }),
-      h("div", { class: "command" }, code, copy),
+      command(this.shot.command, "Copy the command that renders this shot again"),
     );
   }
 
@@ -242,7 +264,10 @@ export class ShotView {
   key(event) {
     const step = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
     const number = /^[1-9]$/.test(event.key) ? Number(event.key) : 0;
+    const zoom = { "+": 1.5, "=": 1.5, "-": 1 / 1.5 }[event.key];
     if (step) this.step(step);
+    else if (zoom) this.pictures?.zoom.by(zoom);
+    else if (event.key === "0") this.pictures?.zoom.set(1, 0, 0);
     else if (number && this.passes?.[number - 1]) this.show(this.passes[number - 1]);
     else return false;
     return true;

@@ -1,6 +1,8 @@
 // The toolbar above the grid: the dataset's name, the SQL condition, the order, the active filters.
 
+import { Completion } from "./complete.js";
 import { button, h, number, segments } from "./dom.js";
+import { said } from "./facets.js";
 
 const SIZES = [
   [110, "S"],
@@ -9,7 +11,7 @@ const SIZES = [
 ];
 
 export class Toolbar {
-  /** @param callbacks `resize(pixels)`, `filters(shown)`, `help()` */
+  /** @param callbacks `resize(pixels)`, `filters(shown)`, `take()`, `help()` */
   constructor(element, chips, address, callbacks) {
     Object.assign(this, { element, chips, address, callbacks });
   }
@@ -35,6 +37,7 @@ export class Toolbar {
         if (where !== this.address.selection.where) this.address.select({ where });
       },
     });
+    this.completion = new Completion(this.where, dataset.columns);
     this.problem = h("p", { class: "problem", id: "where-problem", role: "alert", hidden: true });
     this.sort = h(
       "select",
@@ -54,6 +57,7 @@ export class Toolbar {
         h("span", { class: "prompt", "aria-hidden": "true", text: "WHERE" }),
         this.where,
         h("kbd", { text: "/", "aria-hidden": "true" }),
+        this.completion.list,
         this.problem,
       ),
       h(
@@ -63,6 +67,7 @@ export class Toolbar {
         this.sort,
         this.direction,
         segments("Picture size", SIZES, 160, this.callbacks.resize),
+        button("Export", () => this.callbacks.take(), { label: "Take this selection along" }),
         button("?", () => this.callbacks.help(), { label: "Keyboard shortcuts" }),
       ),
     );
@@ -92,7 +97,7 @@ export class Toolbar {
 
   /** Shows the selection: condition, order and a chip per filter. */
   show() {
-    const { where, sort, descending, facets, ranges } = this.address.selection;
+    const { where, sort, descending, facets, ranges, tags } = this.address.selection;
     if (document.activeElement !== this.where) this.where.value = where;
     this.sort.value = sort;
     this.direction.textContent = descending ? "↓" : "↑";
@@ -104,7 +109,7 @@ export class Toolbar {
     this.direction.disabled = !sort;
     const chips = [
       ...Object.entries(facets).map(([name, values]) => [
-        `${this.label(name)}: ${values.map((v) => v ?? "none").join(", ")}`,
+        `${this.label(name)}: ${values.map((v) => said(v, this.columns.get(name))).join(", ")}`,
         () => this.address.setFacet(name, []),
       ]),
       ...Object.entries(ranges).map(([name, [low, high]]) => [
@@ -112,6 +117,11 @@ export class Toolbar {
         () => this.address.setRange(name, null, null),
       ]),
     ];
+    for (const tag of tags)
+      chips.push([
+        tag.startsWith("-") ? `without ${tag.slice(1)}` : `tagged ${tag}`,
+        () => this.address.select({ tags: tags.filter((other) => other !== tag) }),
+      ]);
     if (where)
       chips.push([
         where,
@@ -125,7 +135,7 @@ export class Toolbar {
       "Clear all",
       () => {
         this.where.value = "";
-        this.address.select({ facets: {}, ranges: {}, where: "" });
+        this.address.select({ facets: {}, ranges: {}, where: "", tags: [] });
       },
       { class: "clear" },
     );
@@ -143,8 +153,7 @@ export class Toolbar {
   }
 
   label(name) {
-    const { label, group } = this.columns.get(name) ?? { label: name };
-    return group === "dataset" || !group ? label : `${group} ${label}`;
+    return this.columns.get(name)?.title || name;
   }
 
   count(total, of) {

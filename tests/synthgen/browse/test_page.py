@@ -66,7 +66,6 @@ def test_a_choice_filters_counts_and_stays_in_the_address(browser_page: Any):
 
 def test_a_range_is_typed_or_dragged(browser_page: Any, browse_dataset: Path):
     page = browser_page
-    page.locator("summary", has_text="person").first.click()
     low = page.get_by_label("age in years, from")
     low.fill("50")
     low.press("Enter")
@@ -101,6 +100,7 @@ def test_an_sql_condition_and_a_wrong_one(browser_page: Any, browse_dataset: Pat
     problem = page.locator("#where-problem")
     problem.wait_for()
     assert "no_such_column" in problem.inner_text()
+    assert "Candidate" in problem.inner_text()
     assert "\n" not in problem.inner_text()
     page_driver.screenshot(page, "wrong-condition")
     field.fill("head_yaw > 99")
@@ -109,6 +109,31 @@ def test_an_sql_condition_and_a_wrong_one(browser_page: Any, browse_dataset: Pat
     page.keyboard.press("Escape")
     page.get_by_role("button", name="Remove head_yaw > 99").click()
     total(page, SHOTS)
+
+
+def test_a_selection_is_taken_along(browser_page: Any, browse_dataset: Path):
+    page = browser_page
+    page.get_by_role("group", name="subset").locator(".value", has_text="video").get_by_role(
+        "checkbox"
+    ).check()
+    total(page, 6)
+    page.locator("#grid").focus()
+    page.keyboard.press("e")
+    line = page.locator(".ways code").first
+    line.wait_for()
+    chosen = eval(line.inner_text(), {"open_dataset": open_dataset})
+    assert len(chosen) == 6
+    page.context.grant_permissions(["clipboard-read", "clipboard-write"])
+    page.get_by_role("button", name="Copy the keys of all these shots").click()
+    page.get_by_text("Copied").wait_for()
+    assert page.evaluate("navigator.clipboard.readText()").split() == chosen.keys()
+    with page.expect_download() as download:
+        page.get_by_role("link", name="CSV").click()
+    assert Path(download.value.path()).read_text().count("\n") == 7
+    page_driver.screenshot(page, "export")
+    page.keyboard.press("Escape")
+    page.locator("#export").wait_for(state="hidden")
+    total(page, 6)
 
 
 def test_sorting_orders_the_grid_both_ways(browser_page: Any, browse_dataset: Path):
@@ -183,7 +208,7 @@ def places(page: Any) -> dict[str, float]:
 
 def test_keys_move_open_step_and_close(browser_page: Any):
     page = browser_page
-    keys = page.locator(".cell .caption").all_inner_texts()
+    keys = page.locator(".cell .caption .words").all_inner_texts()
     page.locator("#grid").focus()
     page.keyboard.press("ArrowRight")
     page.keyboard.press("Enter")
@@ -201,7 +226,7 @@ def test_keys_move_open_step_and_close(browser_page: Any):
     page.keyboard.press("Escape")
     page.locator("#grid").wait_for()
     assert "#" not in page.url
-    assert page.locator('[aria-selected="true"] .caption').inner_text() == keys[2]
+    assert page.locator('[aria-selected="true"] .words').inner_text() == keys[2]
     page.keyboard.press("?")
     page.get_by_role("dialog").wait_for()
     page.keyboard.press("Escape")

@@ -15,29 +15,21 @@ from typing import Any
 import fake_renderer
 import numpy as np
 import pytest
+from page_client import client, selected
 from PIL import Image
 from starlette.testclient import TestClient
 
 from assets_procedural.conventions.colour import srgb_decode
 from synthgen import cli
 from synthgen.browse import snapshot as snapshots
-from synthgen.browse.app import create
 from synthgen.browse.folder import Folder
 from synthgen.browse.snapshot import Library
-from synthgen.browse.thumbnails import Thumbnails
 from synthgen.dataset import Dataset, manifest, open_dataset
 from synthgen.dataset.codecs import decode_exr
 from synthgen.farm.local import render_job
 from synthgen.pictures.drawing import pictures
 
 SHOT = "multiview/s000002_p01"
-
-
-def client(out: Path, cache: Path, library: Library | None = None, **options: Any) -> TestClient:
-    """A client of a server over `out` with its thumbnails in `cache`."""
-    library = library or Library(Folder(out))
-    app = create(library, Thumbnails(cache, **options), token=None, port=0)
-    return TestClient(app, base_url="http://localhost")
 
 
 @pytest.fixture(scope="module")
@@ -54,18 +46,6 @@ def stored(small_dataset: Path) -> Dataset:
 def copy(small_dataset: Path, tmp_path: Path) -> Path:
     """A copy of the small dataset that a test may damage."""
     return shutil.copytree(small_dataset, tmp_path / "copy")
-
-
-def selected(ask: TestClient, **query: Any) -> list[str]:
-    """The keys of a selection, page by page."""
-    query = {k: v if isinstance(v, str) else json.dumps(v) for k, v in query.items()}
-    keys: list[str] = []
-    while True:
-        answer = ask.get("/api/shots", params=query | {"offset": len(keys), "limit": 3}).json()
-        keys += [f"{row['subset']}/{row['key']}" for row in answer["rows"]]
-        if len(keys) >= answer["total"]:
-            assert len(keys) == answer["total"]
-            return keys
 
 
 def array(answer: Any) -> np.ndarray:
@@ -269,7 +249,8 @@ def test_histograms_hold_every_value_between_their_edges(ask: TestClient, small_
         ({"offset": "-1"}, "offset = -1: give a whole number from 0 to 1000000000"),
         (
             {"where": "nose > 3"},
-            'where: Binder Error: Referenced column "nose" not found in FROM clause!',
+            'where: Binder Error: Referenced column "nose" not found in FROM clause! Candidate '
+            'bindings: "pose", "offset", "cost_beauty", "index", "person_asian"',
         ),
     ],
 )
@@ -571,3 +552,45 @@ def test_without_the_extra_the_command_names_it(
     monkeypatch.delitem(sys.modules, "synthgen.browse.serve", raising=False)
     answer = run_main(cli.main, "browse", small_dataset)
     assert "pip install 'totalediting[browse]'" in answer.error
+
+
+# ---------------------------------------------------------------- columns
+
+
+def test_columns_come_in_a_researchers_order_with_words(ask: TestClient):
+    columns = ask.get("/api/dataset").json()["columns"]
+    groups = list(dict.fromkeys(c["group"] for c in columns))
+    assert groups[:5] == ["people", "light", "camera", "head", "expression"]
+    assert groups[-1] == "other"
+    by_name = {c["name"]: c for c in columns}
+    assert [c["name"] for c in columns[:2]] == ["person_sex", "person_age_years"]
+    assert by_name["width"]["constant"] and not by_name["head_yaw"]["constant"]
+    assert by_name["person_ancestry"]["words"] and not by_name["environments"]["words"]
+    assert by_name["gaze_yaw"]["label"] == "gaze yaw"
+    assert by_name["camera_yaw"]["title"] == "camera yaw"
+    assert by_name["expression_browDownLeft"]["label"] == "brow down left"
+
+
+def test_pairs_count_where_both_columns_are(ask: TestClient, small_dataset: Path):
+    asked = {"pairs": "camera_yaw:camera_pitch", "columns": "", "where": "subset = 'multiview'"}
+    (pair,) = ask.get("/api/counts", params=asked).json()["pairs"]
+    wide, high = len(pair["x_edges"]) - 1, len(pair["y_edges"]) - 1
+    grid = np.array(pair["counts"]).reshape(high, wide)
+    rows = manifest.query(
+        small_dataset, "SELECT camera_yaw, camera_pitch FROM manifest WHERE subset = 'multiview'"
+    ).rows
+    x, y = np.array(rows).T
+    expected, *_ = np.histogram2d(y, x, [pair["y_edges"], pair["x_edges"]])
+    assert grid.sum() == 10 and np.abs(grid - expected).sum() <= 2  # edges are floats
+    # Its own choice is left out, as that of a facet is.
+    ranges = json.dumps({"camera_yaw": [0, 0]})
+    (same,) = ask.get("/api/counts", params=asked | {"ranges": ranges}).json()["pairs"]
+    assert same["counts"] == pair["counts"]
+    answer = ask.get("/api/counts", params={"pairs": "subset:camera_yaw"})
+    assert answer.status_code == 400 and "columns of numbers" in answer.json()["error"]
+
+
+def test_a_wrong_name_is_answered_with_those_that_are_near(ask: TestClient):
+    answer = ask.get("/api/shots", params={"where": "person_age_year > 3"})
+    assert answer.status_code == 400
+    assert "person_age_years" in answer.json()["error"] and "\n" not in answer.json()["error"]

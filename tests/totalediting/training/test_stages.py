@@ -15,9 +15,11 @@ from PIL import Image
 from torch import nn
 
 from assets_procedural.conventions import console
+from synthgen.dataset import open_dataset
 from totalediting import cli
 from totalediting.data.clips import ClipPair
 from totalediting.data.pairs import MIRRORED, PortraitPair, PortraitPairs
+from totalediting.errors import InputError
 from totalediting.geometry.field import Control
 from totalediting.geometry.identity import faces_of
 from totalediting.geometry.mirroring import MIRROR
@@ -25,7 +27,7 @@ from totalediting.networks.head_tracker import HeadTracker
 from totalediting.presets import PRESETS, preset_with
 from totalediting.pretrained import lpips, sface
 from totalediting.pretrained.fetch import NetworkError
-from totalediting.training import checkpoints, loop, losses, showcase
+from totalediting.training import beside, checkpoints, loop, losses, showcase
 from totalediting.training import joint as joint_stage
 from totalediting.training.joint import JointStage, RealClips
 from totalediting.training.lightmaps import LightmapStage
@@ -433,6 +435,16 @@ def test_a_trained_run_is_shown(
     assert "measuring stages: 0 s so far\n" in figures.stderr
     shown = totalediting("show", tmp_path / "run", small_dataset, "--output", tmp_path / "p.png")
     assert shown.returncode == 0 and "drawing: 0 s so far\n" in shown.stderr
+    run = beside.open_run(tmp_path / "run", small_dataset)
+    key = open_dataset(small_dataset, split="validation").keys()[0]
+    measured = run.measure(key, "validation")
+    assert measured.keys() == run.figures.keys() and measured["psnr"] > 0
+    again = beside.open_run(tmp_path / "run", small_dataset).measure(key, "validation")
+    assert again == pytest.approx(measured, nan_ok=True)
+    pictures = [run.picture(key, "validation", name) for name in run.pictures]
+    assert {p.shape for p in pictures} == {(128, 128, 3)} and pictures[3].any()
+    with pytest.raises(InputError, match="is no shot of the split train"):
+        run.measure(key, "train")
     assert "lightmaps: light error / that of the mean light: " in figures.stdout
     assert "reconstruct: PSNR of the source: " in figures.stdout
     for what in ("PSNR of pixels that the source shows", "PSNR of the matte's pixels"):
