@@ -69,12 +69,18 @@ def _mesh() -> bytes:
 @contextlib.contextmanager
 def served(folder: Path, cache: Path) -> Iterator[str]:
     """The address of a server of the dataset; `cache` holds its thumbnails and lightmaps."""
-    environment = os.environ | {"SYNTHGEN_CACHE": str(cache), "PYTHONUNBUFFERED": "1"}
-    command = [sys.executable, "-c", "from synthgen.cli import main; main()"]
+    code = "from synthgen.cli import main; main()"
+    with answering(code, ["browse", str(folder), "--port", "0"], SYNTHGEN_CACHE=str(cache)) as at:
+        yield at
+
+
+@contextlib.contextmanager
+def answering(code: str, arguments: list[str], **environment: str) -> Iterator[str]:
+    """The address that a process running Python code prints first."""
     process = subprocess.Popen(
-        [*command, "browse", str(folder), "--port", "0"],
+        [sys.executable, "-c", code, *arguments],
         cwd=ROOT,
-        env=environment,
+        env=os.environ | {"PYTHONUNBUFFERED": "1"} | environment,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
