@@ -36,6 +36,8 @@ def serve(host: str, port: int, say: Callable[[str], None], editor: Editor | Non
         InputError: the address cannot be had.
         NetworkError: as `Editor.load`.
     """
+    # Its default would leave the folder; uvicorn passes it on.
+    signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
     with tempfile.TemporaryDirectory(prefix="totalediting-demo-") as folder:
         # Read when Gradio is imported: it tells nobody of its use, and keeps uploads in here.
         os.environ["GRADIO_ANALYTICS_ENABLED"] = "False"
@@ -72,8 +74,6 @@ def serve(host: str, port: int, say: Callable[[str], None], editor: Editor | Non
         config = uvicorn.Config(
             _Guard(app, local), log_level="error", access_log=False, server_header=False
         )
-        # uvicorn passes on the signal that ends it, whose default would leave the folder.
-        signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
         with listening:
             uvicorn.Server(config).run(sockets=[listening])
 
