@@ -1,7 +1,7 @@
 # make demo          renders render_jobs/demo.toml, verifies it, draws its contact sheet
 # make train-demo    renders render_jobs/train_demo.toml, trains the preset tiny on it, draws a page
 # make test          checks and tests everything
-# make test-browser  tests the page of `synthgen browse` in a real browser, which it brings
+# make test-browser  tests the pages of `browse` and `demo` in a real browser, which it brings
 # make test-wheel    builds the wheel, and reads, plans, browses and renders with nothing but it
 # make lint          format, lint, types, import rules
 # make docs          the documentation as a site, in out/site
@@ -123,12 +123,13 @@ test-wheel: $(VENV)/.dev
 # neither can be had, the tests are skipped and say so.
 test-browser: $(VENV)/.dev
 	@echo "== installing a browser and its driver (once)"
-	@$(PIP) --editable '.[render,dev,browser]' || echo "playwright cannot be installed here"
+	@$(PIP) --editable '.[render,dev,browser,demo]' \
+	  || echo "playwright or gradio cannot be installed here"
 	@if command -v chromium >/dev/null; then :; \
 	elif [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null \
 	  && apt-get update -qq && apt-get install -y -qq --no-install-recommends chromium; then :; \
 	elif $(BIN)/playwright install chromium; then :; \
-	else echo "no Chromium can be installed here: the tests of the page are skipped"; fi
+	else echo "no Chromium can be installed here: the tests of the pages are skipped"; fi
 	@echo "== tests in the browser (pytest)"
 	@$(BIN)/pytest -m browser
 

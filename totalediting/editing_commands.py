@@ -1,4 +1,4 @@
-"""The commands `totalediting track` and `edit`. Imports nothing heavy before one runs."""
+"""The commands `totalediting track`, `edit` and `demo`. Imports nothing heavy before one runs."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from totalediting.errors import InputError
 
 
 def add_to(app: typer.Typer) -> None:
-    """Makes both commands of `app`."""
-    app.command()(track)
-    app.command()(edit)
+    """Makes them commands of `app`."""
+    for command in (track, edit, demo):
+        app.command()(command)
 
 
 def track(
@@ -55,6 +55,10 @@ def edit(
             help="Motion off the driver's rest, or expression and gaze as they are.",
         ),
     ] = True,
+    expression: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=AMOUNT", help="Add to a coefficient: jawOpen=0.6. Repeatable."),
+    ] = None,
     background: Annotated[
         str, typer.Option(metavar="B", help="keep, blur, light, a colour or a picture.")
     ] = "keep",
@@ -69,6 +73,9 @@ def edit(
     ] = False,
     rotate_light: Annotated[
         float, typer.Option(metavar="DEG", help="Turn the light about the vertical.")
+    ] = 0.0,
+    exposure: Annotated[
+        float, typer.Option(metavar="STOPS", help="Light the person brighter, or darker.")
     ] = 0.0,
     spin: Annotated[bool, typer.Option("--spin", help="Turn the light once around.")] = False,
     decompose: Annotated[
@@ -90,10 +97,38 @@ def edit(
     job = Job(
         *(appearance, out, motion, lighting, relative, background),
         *(_angles(view), orbit, rotate_light, spin, decompose),
+        *(_amounts(expression or []), exposure),
     )
     for note in write(job):
         typer.echo(note, err=True)
     console.say(out)
+
+
+def demo(
+    host: Annotated[
+        str,
+        typer.Option(help="Address to listen on; other than on loopback, a password is required."),
+    ] = "127.0.0.1",
+    port: Annotated[int, typer.Option(min=0, max=65535, help="0 picks a free one.")] = 8360,
+) -> None:
+    """Serve a page to edit portraits on: drop pictures, turn the light, move the face."""
+    from totalediting.demo.serve import serve
+
+    serve(host, port, console.say)
+
+
+def _amounts(texts: list[str]) -> dict[str, float]:
+    """What is added to coefficients, by name."""
+    amounts = {}
+    for text in texts:
+        name, _, amount = text.partition("=")
+        try:
+            amounts[name] = float(amount)
+        except ValueError:
+            raise InputError(
+                f"--expression: {text}: give a coefficient and a number, such as jawOpen=0.6"
+            ) from None
+    return amounts
 
 
 def _angles(text: str) -> tuple[float, float]:

@@ -21,10 +21,13 @@ from assets_procedural.conventions.errors import UserError, one_line, remedy
 
 EXTRAS = {
     "OpenImageIO": "render",
+    "ai_edge_litert": "edit",
     "anny": "distill",
     "av": "train",
     "bpy": "render",
     "colour": "render",
+    "fastapi": "demo",
+    "gradio": "demo",
     "lightning_fabric": "train",
     "safetensors": "train",
     "scipy": "render",

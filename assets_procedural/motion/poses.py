@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
@@ -148,6 +149,9 @@ class PoseSettings(Settings):
     """Head against trunk, sideways."""
     frames_per_second: float = Field(default=2.5, gt=0.0, le=240.0)
     """Time step of a track (video subsets)."""
+    tracks: Path | None = None
+    """A folder of tables that `totalediting track` wrote: video subsets move as the people in them
+    do, within the ranges of gaze and head; expression, moods, talking and neutral are theirs."""
 
     @field_validator("moods")
     @classmethod

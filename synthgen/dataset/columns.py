@@ -56,6 +56,8 @@ LIGHT = {
     "exposures": "DOUBLE[]",
 }
 
+MOTION = {"motion_table": "VARCHAR", "motion_source": "VARCHAR", "motion_seconds": "DOUBLE"}
+
 
 def row(
     meta: dict[str, Any],
@@ -73,6 +75,7 @@ def row(
     result["environment_rotation"] = [use["rotation"] for use in uses]
     result["environment_exposure"] = [use["exposure"] for use in uses]
     result["exposures"] = meta["exposures"]
+    result |= _flatten("motion", meta.get("motion", {}))
     result |= _flatten("camera", camera["sample"])
     result["camera_position"] = [line[3] for line in camera["camera_to_world"][:3]]
     result["camera_focal_px"] = camera["intrinsics"][0][0]
@@ -146,7 +149,7 @@ def _flatten(prefix: str, value: dict[str, Any]) -> dict[str, Any]:
 
 def schema(quality: Iterable[str], cost: Iterable[str]) -> dict[str, str]:
     """Column name -> DuckDB type of a manifest with these quality figures and timings."""
-    columns = IDENTITY | PLACE | LIGHT | _columns("camera", CameraSample)
+    columns = IDENTITY | PLACE | LIGHT | MOTION | _columns("camera", CameraSample)
     columns |= {"camera_position": "DOUBLE[]", "camera_focal_px": "DOUBLE"}
     names = [f"head_{n}" for n in ("pitch", "roll", "yaw")]
     names += [f"gaze_{n}" for n in ("yaw", "pitch")]

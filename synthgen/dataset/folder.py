@@ -4,6 +4,7 @@
     SHA256SUMS                               the hash of every published file
     manifest/<subset>.parquet                a row per shot
     environments/<id>.exr                    panoramas
+    tracks/*.parquet                         recorded motions, of a job that has them
     data/<subset>/<split>-000000.tar         shards
     subjects/<subset>/<key>.glb, .json       canonical mesh, identity parameters
     ledger/<subset>/<split>-000000.json      the record that marks a shard as committed
@@ -93,6 +94,7 @@ class DatasetFolder:
         self.checksums = self.root / "SHA256SUMS"
         self.manifests = self.root / "manifest"
         self.environments = self.root / "environments"
+        self.tracks = self.root / "tracks"
         self.data = self.root / "data"
         self.subjects = self.root / "subjects"
         self.ledger = self.root / "ledger"
@@ -195,7 +197,10 @@ class DatasetFolder:
         Beside the folders that a dataset owns, others may lie in its root: they are not its own.
         """
         yield from (p for p in (self.card, self.croissant, self.description) if p.is_file())
-        for owned in (self.data, self.environments, self.ledger, self.manifests, self.subjects):
+        for owned in (
+            *(self.data, self.environments, self.ledger, self.manifests, self.subjects),
+            self.tracks,
+        ):
             for path in sorted(owned.rglob("*")):
                 temporary = path.name.startswith(".") and path.suffix == ".tmp"
                 if not temporary and (path.is_symlink() or not path.is_dir()):

@@ -95,7 +95,12 @@ def describe(
     `landmarks` is (70, 2) in pixels (x right, y down), `visible` (70,) bool.
     """
     pose, sample = subject.poses[shot.pose], subject.cameras[shot.camera]
-    return {
+    motion = subject.motion
+    origin: dict[str, Any] = {}
+    if motion is not None:
+        seconds = motion.seconds[shot.pose]
+        origin["motion"] = {"table": motion.table, "source": motion.source, "seconds": seconds}
+    return origin | {
         "key": shot.key,
         "subject": subject.key,
         "subset": subject.subset,

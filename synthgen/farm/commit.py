@@ -317,7 +317,7 @@ def clean_temporary(folder: DatasetFolder, shards: list[ShardPlan]) -> None:
 
 def clean_shared(folder: DatasetFolder) -> None:
     """The same for what all slices write; only for the holder of `ledger.shared_files_lock`."""
-    for place in (folder.root, folder.manifests, folder.environments):
+    for place in (folder.root, folder.manifests, folder.environments, folder.tracks):
         for path in place.glob(".*.[0-9]*.tmp"):
             path.unlink(missing_ok=True)
 

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 from assets_procedural.conventions import console
 from assets_procedural.conventions.files import sha256
 from assets_procedural.light.pool import pool, provenance, write_pool
+from assets_procedural.motion import recorded
 from synthgen.dataset import ledger
 from synthgen.dataset.folder import DatasetFolder, Place, StorageError
 from synthgen.dataset.records import read_description
@@ -78,6 +79,7 @@ def render_job(
                 publish.begin(folder, the_plan, origins, renderer)
                 clean_shared(folder)
                 mended = _write_panoramas(folder, specs)
+                _write_tracks(folder, the_plan)
             folder.logs.mkdir(parents=True, exist_ok=True)
             orders = Orders(job, folder.root, renderer, device, threads, Path())
             run = Run(the_plan, orders, shard, workers, time_limit, subjects_per_worker)
@@ -150,8 +152,31 @@ def _write_panoramas(folder: DatasetFolder, specs: Sequence[EnvironmentSpec]) ->
                 f"{path}: cannot be made again as it was when the dataset was begun; "
                 "put a copy of it there"
             )
-    publish.record_panoramas(folder, hashes)
+    publish.record_files(folder, hashes)
     return mended
+
+
+def _write_tracks(folder: DatasetFolder, plan: Plan) -> None:
+    """Store what the plan takes of recorded motions, so that the dataset can be planned alone."""
+    tracks = plan.job.poses.tracks
+    if tracks is None:
+        return
+    folder.tracks.mkdir(exist_ok=True)
+    known_hashes = read_description(folder).files
+    hashes = {}
+    for name in sorted({one.table for one in plan.recordings}):
+        kept = folder.tracks / name
+        known = known_hashes.get(folder.relative(kept))
+        if not kept.exists() or (known is not None and sha256(kept) != known):
+            recorded.copy(folder.tracks, tracks / name)
+        hashes[folder.relative(kept)] = sha256(kept)
+    kept = recorded.read(folder.tracks)
+    if not recorded.same(kept, plan.recordings):
+        raise StorageError(
+            f"{tracks}: its tracks are not those that the dataset was begun with; "
+            "put them back, or use a new folder"
+        )
+    publish.record_files(folder, hashes)
 
 
 @contextlib.contextmanager

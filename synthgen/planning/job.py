@@ -255,8 +255,8 @@ def _check_people_of(name: str, subset: SubsetSpec, subsets: dict[str, SubsetSpe
 def load_job(job: str | Path, overrides: Sequence[str] = ()) -> JobSpec:
     """Read and validate a job: the path of a .toml file, or the name of a shipped one ("demo").
 
-    `overrides` are "key=value" as `--set` takes them. A relative `environments.folder` is taken
-    from the job file's own folder and made absolute.
+    `overrides` are "key=value" as `--set` takes them. A relative `environments.folder` or
+    `poses.tracks` is taken from the job file's own folder and made absolute.
 
     Raises `JobError` on the first thing that is wrong.
     """
@@ -275,10 +275,13 @@ def load_job(job: str | Path, overrides: Sequence[str] = ()) -> JobSpec:
     spec = parse_job(data, path, overridden)
     folder = spec.environments.folder
     if folder is not None:
-        folder = _absolute(folder, path)
+        folder = _absolute(folder, path, "environments.folder")
         spec = spec.model_copy(
             update={"environments": spec.environments.model_copy(update={"folder": folder})}
         )
+    if spec.poses.tracks is not None:
+        tracks = _absolute(spec.poses.tracks, path, "poses.tracks")
+        spec = spec.model_copy(update={"poses": spec.poses.model_copy(update={"tracks": tracks})})
     return spec
 
 
@@ -310,7 +313,7 @@ def _toml(text: str) -> dict[str, Any]:
         raise tomllib.TOMLDecodeError(reason) from None
 
 
-def _absolute(folder: Path, job: Path) -> Path:
+def _absolute(folder: Path, job: Path, field: str) -> Path:
     """A folder that a job names: from the home of a user (~), or else from the job's own folder."""
     try:
         return (job.parent / folder.expanduser()).resolve()
@@ -320,7 +323,7 @@ def _absolute(folder: Path, job: Path) -> Path:
         remedy = "holds a null byte; give another"
     except OSError as error:  # links in a circle, a name that is too long
         remedy = error.strerror or one_line(error)
-    raise JobError(job, "environments.folder", json.dumps(str(folder)), remedy)
+    raise JobError(job, field, json.dumps(str(folder)), remedy)
 
 
 def _override(data: dict[str, Any], text: str) -> str:

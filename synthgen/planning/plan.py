@@ -19,6 +19,7 @@ import numpy as np
 from assets_procedural.conventions.camera import CameraSample, resolve
 from assets_procedural.light.key_light import sample_key
 from assets_procedural.light.pool import pool
+from assets_procedural.motion import recorded
 from assets_procedural.motion.poses import Pose, sample_pose
 from assets_procedural.motion.tracks import named_moods, sample_track
 from assets_procedural.people.person_sampling import sample_person
@@ -79,6 +80,8 @@ class SubjectPlan(Parameters):
     """Per environment the azimuth that its key is to fall from, radians, 0 in front of the trunk,
     positive towards the subject's left; None: it stays at its `rotation`. See `turning.turned`."""
     poses: tuple[Pose, ...]
+    motion: recorded.Motion | None = None
+    """Whose motion the poses are, if they are recorded."""
     cameras: tuple[CameraSample, ...]
     shots: tuple[ShotPlan, ...]
 
@@ -122,6 +125,12 @@ class Plan:
                     f"the pool has only {len(self.environment_ids)}; "
                     "lower it, or add to [environments]",
                 )
+        self.recordings: tuple[recorded.Recording, ...] = ()
+        if job.poses.tracks is not None:
+            try:
+                self.recordings = recorded.read(job.poses.tracks)
+            except recorded.RecordingError as error:
+                raise JobError(job.name, "poses.tracks", "", str(error)) from None
         try:
             factors(job.people)
         except QuotaError as error:
@@ -181,11 +190,13 @@ class Plan:
         key = subject_key(index)
         cameras = self._cameras(subset, index, spec)
         lens = resolve(cameras[0], np.zeros(3), HEAD_METRES, 1).position
-        rng = self._rng(subset, index, Stream.POSE)
+        rng, motion = self._rng(subset, index, Stream.POSE), None
         if spec.kind == "multiview":
             poses: tuple[Pose, ...] = (sample_pose(rng, self.job.poses, lens),)
         elif spec.moods:
             poses = named_moods(rng, spec.moods, spec.shots, self.job.poses, lens)
+        elif self.recordings:
+            poses, motion = recorded.play(rng, self.recordings, spec.shots, self.job.poses)
         else:
             poses = sample_track(rng, spec.shots, self.job.poses, lens)
         environments, keys = self._environments(subset, index, spec)
@@ -200,6 +211,7 @@ class Plan:
             environments=environments,
             keys=keys,
             poses=poses,
+            motion=motion,
             cameras=cameras,
             shots=tuple(
                 ShotPlan(

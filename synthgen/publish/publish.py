@@ -213,6 +213,9 @@ def stored_plan(out: Place) -> Plan:
     info = read_description(out)
     try:
         job = JobSpec.model_validate({"light_basis": False} | info.job)
+        if job.poses.tracks is not None:  # those that the dataset holds itself
+            poses = job.poses.model_copy(update={"tracks": DatasetFolder(out).tracks})
+            job = job.model_copy(update={"poses": poses})
         return Plan(job, [e["id"] for e in info.environments])
     except (KeyError, ValueError) as error:
         reason = " ".join(str(error).split())[:200]
@@ -234,8 +237,8 @@ def shards(folder: DatasetFolder, info: Description, plan: Plan) -> list[ShardPl
     return held
 
 
-def record_panoramas(folder: DatasetFolder, hashes: dict[str, str]) -> None:
-    """Record the sha256 of stored panoramas by path."""
+def record_files(folder: DatasetFolder, hashes: dict[str, str]) -> None:
+    """Record the sha256 of stored panoramas and tracks by path."""
     info = read_description(folder)
     files = info.files | hashes
     if files != info.files:
@@ -284,8 +287,8 @@ def complete(out: Place) -> bool:
     for subset in plan.job.subsets:
         path = manifest.merge(folder, subset)
         files[folder.relative(path)] = sha256(path)
-    for identifier in plan.environment_ids:
-        path = folder.environment(identifier)
+    tracks = sorted({folder.tracks / recording.table for recording in plan.recordings})
+    for path in (*map(folder.environment, plan.environment_ids), *tracks):
         if path.exists():
             name = folder.relative(path)
             files[name] = info.files.get(name) or sha256(path)

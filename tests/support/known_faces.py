@@ -58,6 +58,7 @@ class KnownTracker:
             [source],
             np.array([frame]),
             np.array([2 if number == TWO else 1]),
+            np.zeros(1),
             np.ones(1),
             np.zeros(1),
             square,

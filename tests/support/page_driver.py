@@ -69,13 +69,20 @@ def _mesh() -> bytes:
 @contextlib.contextmanager
 def served(folder: Path, cache: Path, *options: str) -> Iterator[str]:
     """The address of a server of the dataset; `cache` holds thumbnails, lightmaps and tags."""
-    folders = {"SYNTHGEN_CACHE": str(cache), "XDG_DATA_HOME": str(cache / "data")}
-    environment = os.environ | folders | {"PYTHONUNBUFFERED": "1"}
-    command = [sys.executable, "-c", "from synthgen.cli import main; main()"]
+    code = "from synthgen.cli import main; main()"
+    arguments = ["browse", str(folder), "--port", "0", *options]
+    kept = {"SYNTHGEN_CACHE": str(cache), "XDG_DATA_HOME": str(cache / "data")}
+    with answering(code, arguments, **kept) as at:
+        yield at
+
+
+@contextlib.contextmanager
+def answering(code: str, arguments: list[str], **environment: str) -> Iterator[str]:
+    """The address that a process running Python code prints first."""
     process = subprocess.Popen(
-        [*command, "browse", str(folder), "--port", "0", *options],
+        [sys.executable, "-c", code, *arguments],
         cwd=ROOT,
-        env=environment,
+        env=os.environ | {"PYTHONUNBUFFERED": "1"} | environment,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

@@ -300,6 +300,7 @@ def test_edits_that_cannot_be_are_one_line(totalediting: Run, tmp_path: Path):
         (edit(nowhere), "nothing to edit"),
         (edit(nowhere, "--view", "left"), "give 2 angles"),
         (edit(nowhere, "--view", "nan,0"), "give degrees"),
+        (edit(nowhere, "--expression", "jawOpen"), "such as jawOpen=0.6"),
         (edit(nowhere, "--rotate-light", "nan"), "give degrees"),
         (edit(nowhere, "--background", "grue"), "give keep"),
     ):

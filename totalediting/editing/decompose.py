@@ -31,24 +31,29 @@ def write(folder: Path, edited: Edited) -> None:
 
     The engine knows no specular light: what shines is in the albedo.
     """
+    pictures = layers(edited)
+    with new_folder(folder) as made:
+        for name, layer in pictures.items():
+            (made / f"{name}.png").write_bytes(png(to_bytes(layer)))
+        depth = edited.pose.warped.raster.depth.astype(np.float32)
+        panorama_files.write_channels(made / "depth.exr", {"Z": depth}, {})
+        panorama_files.write(made / "irradiance.exr", irradiance_map(edited.light), {})
+        if isinstance(edited.source, Panorama):
+            maps = edited.source.lightmaps_turned
+            write_lightmaps(made / "lightmaps.exr", maps, edited.source.path, normalised=True)
+
+
+def layers(edited: Edited) -> dict[str, np.ndarray]:
+    """Those of `write` that are pictures, (S, S[, 3]) in [0, 1], by name."""
     pose = edited.pose
     warped, covered = pose.warped, pose.warped.raster.covered
     light = edited.light(warped.normals)
     even = undisplay(warped.person) / pose.was.clip(_DARKEST, None)
     on = covered[..., None]
     normals = warped.normals @ pose.view.frame[:3, :3]
-    layers = {
-        "albedo.png": display(even) * warped.matte[..., None],
-        "normal.png": np.where(on, (normals + 1) / 2, 0.5),
-        "diffuse.png": np.where(on, display(0.2 * light), 0.0),
-        "alpha.png": warped.matte,
+    return {
+        "albedo": display(even) * warped.matte[..., None],
+        "normal": np.where(on, (normals + 1) / 2, 0.5),
+        "diffuse": np.where(on, display(0.2 * light), 0.0),
+        "alpha": warped.matte,
     }
-    with new_folder(folder) as made:
-        for name, layer in layers.items():
-            (made / name).write_bytes(png(to_bytes(layer)))
-        depth = warped.raster.depth.astype(np.float32)
-        panorama_files.write_channels(made / "depth.exr", {"Z": depth}, {})
-        panorama_files.write(made / "irradiance.exr", irradiance_map(edited.light), {})
-        if isinstance(edited.source, Panorama):
-            maps = edited.source.lightmaps_turned
-            write_lightmaps(made / "lightmaps.exr", maps, edited.source.path, normalised=True)

@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from assets_procedural.conventions import console
 from totalediting.editing import backgrounds, decompose, output, sources
-from totalediting.editing.editor import WIDEST_VIEW, Edited, Editor, check_view
-from totalediting.editing.motion import Rest
+from totalediting.editing.editor import (
+    WIDEST_VIEW,
+    Edited,
+    Editor,
+    check_exposure,
+    check_view,
+)
+from totalediting.editing.motion import Rest, check_expression
 from totalediting.errors import InputError
 from totalediting.geometry.tracking import Tracking
 
@@ -36,6 +42,8 @@ class Job:
     rotate_light: float = 0.0
     spin: bool = False
     decompose: Path | None = None
+    expression: Mapping[str, float] = field(default_factory=dict)
+    exposure: float = 0.0
 
     @property
     def plays(self) -> bool:
@@ -82,7 +90,7 @@ def _played(editor: Editor, job: Job) -> list[str]:
     if job.motion is not None and sources.plays(job.motion):
         with console.progress("tracking", None) as advance:
             clip, rest = editor.clip(job.motion, advance)
-        drivers, seconds, notes = _held(clip.trackings), clip.seconds, list(clip.notes)
+        drivers, seconds, notes = held(clip.trackings), clip.seconds, list(clip.notes)
     elif job.motion is not None:
         found = editor.face(job.motion)
         drivers, notes = [found.tracking], list(found.notes)
@@ -111,8 +119,10 @@ def _edited(editor: Editor, job: Job, frame: Frame, rest: Rest | None) -> Edited
         job.lighting,
         rest=rest,
         relative=job.relative,
+        expression=job.expression,
         view=frame.view,
         rotate_light=frame.rotate_light,
+        exposure=job.exposure,
         background=job.background,
     )
 
@@ -130,27 +140,30 @@ def _plan(job: Job, drivers: Sequence[Tracking | None], seconds: list[float]) ->
         yield Frame(second, driver, (view[0], view[1]), turn)
 
 
-def _held(trackings: list[Tracking | None]) -> list[Tracking | None]:
-    """Where there is none, the last one; before the first, that one."""
+def held(trackings: list[Tracking | None]) -> list[Tracking]:
+    """Of a clip: where there is no face, the last one; before the first, that one."""
     last = next(one for one in trackings if one is not None)
-    held: list[Tracking | None] = []
+    every: list[Tracking] = []
     for one in trackings:
         last = last if one is None else one
-        held.append(last)
-    return held
+        every.append(last)
+    return every
 
 
 def _check(job: Job) -> None:
     """What can be said before any network runs."""
     unchanged = job.motion is None and job.lighting is None and job.background == "keep"
-    if unchanged and not any(job.view) and not job.orbit and job.decompose is None:
+    unchanged &= not (job.expression or job.exposure or any(job.view) or job.orbit)
+    if unchanged and job.decompose is None:
         raise InputError(
-            "edit: nothing to edit; give --motion, --lighting, --background, --view, --orbit or "
-            "--decompose"
+            "edit: nothing to edit; give --motion, --lighting, --background, --expression, "
+            "--exposure, --view, --orbit or --decompose"
         )
     if job.lighting is None and (job.spin or job.rotate_light):
         raise InputError("--rotate-light, --spin: there is no light to turn; give --lighting")
     check_view("--view", job.view)
+    check_exposure("--exposure", job.exposure)
+    check_expression("--expression", job.expression)
     backgrounds.check(job.background, job.lighting is not None)
     for path in (job.appearance, job.motion, job.lighting):
         if path is not None and not path.exists() and ":" not in str(path):

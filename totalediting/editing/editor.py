@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import hashlib
 from collections import OrderedDict
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -22,7 +22,7 @@ import numpy as np
 
 from totalediting.editing import backgrounds, compose
 from totalediting.editing.lights import OfPhotograph, Panorama
-from totalediting.editing.motion import Rest, moved_off, rest_of, taken_over
+from totalediting.editing.motion import Rest, moved_off, rest_of, taken_over, with_expression
 from totalediting.editing.sources import (
     PANORAMAS,
     Clip,
@@ -45,6 +45,8 @@ Source = str | Path | np.ndarray
 """A picture's file, "DIR:KEY" for a shot of a dataset, or pixels (H, W, 3) uint8, sRGB."""
 WIDEST_VIEW = 45.0
 """Degrees that a camera may be moved about the head."""
+MOST_STOPS = 4.0
+"""By which a person may be lit brighter or darker."""
 _KEPT = 4  # of each kind
 Made = TypeVar("Made")
 
@@ -112,8 +114,10 @@ class Editor:
         *,
         rest: Rest | None = None,
         relative: bool = True,
+        expression: Mapping[str, float] | None = None,
         view: tuple[float, float] = (0.0, 0.0),
         rotate_light: float = 0.0,
+        exposure: float = 0.0,
         background: backgrounds.Background = "keep",
     ) -> Edited:
         """The person of `appearance` in another motion, light and view; what is None is its own.
@@ -125,9 +129,11 @@ class Editor:
             rest: how the motion's person looks at rest, as `Editor.clip` says.
             relative: the person moves off its own look as the motion's person does off its rest;
                 without, it takes over expression and gaze as they are.
+            expression: what is added to coefficients in [0, 1], by ARKit name, such as jawOpen.
             view: degrees that the camera goes to the person's left, and up, about the head.
             rotate_light: degrees that the light is turned about the vertical, counter-clockwise
                 from above.
+            exposure: stops by which the person is lit brighter.
             background: "keep", "blur", "light" (the panorama as the camera sees it, or the
                 background of the photograph whose light it is), a colour, or a picture.
 
@@ -150,7 +156,9 @@ class Editor:
         elif rotate_light:
             raise InputError("rotate_light: there is no light to turn; give lighting, too")
         backgrounds.check(background, light is not None)
-        pose = self._pose(subject, _moved(subject, driver, rest, relative), view)
+        check_exposure("exposure", exposure)
+        moved = with_expression(_moved(subject, driver, rest, relative), expression or {})
+        pose = self._pose(subject, moved, view)
         shown_in = subject.light
         if light is not None:
             shown_in = relight.Levelled(light, subject.face_normals)
@@ -160,7 +168,7 @@ class Editor:
         return Edited(
             subject,
             pose,
-            _relit(pose, None if light is None and not pose.moved else shown_in),
+            _relit(pose, None if light is None and not pose.moved else shown_in, exposure),
             shown_in,
             light,
             self._background(background, subject, shown, pose.view),
@@ -269,6 +277,12 @@ def check_view(name: str, angles: tuple[float, float]) -> None:
         )
 
 
+def check_exposure(name: str, stops: float) -> None:
+    """Raises `InputError` for stops beyond `MOST_STOPS`."""
+    if not abs(stops) <= MOST_STOPS:
+        raise InputError(f"{name}: {stops:g}: give stops from {-MOST_STOPS:g} to {MOST_STOPS:g}")
+
+
 def viewed(view: View, yaw: float, pitch: float) -> View:
     """A camera moved about the head by degrees to the person's left, and up.
 
@@ -296,11 +310,14 @@ def _moved(
     return taken_over(subject.tracking, driver)
 
 
-def _relit(pose: Pose, light: relight.Levelled | None) -> compose.Edit:
+def _relit(pose: Pose, light: relight.Levelled | None, exposure: float) -> compose.Edit:
     warped, ratio = pose.warped, None
     if light is not None:
         becomes = light(warped.normals)
         ratio = relight.ratio_of(warped.raster.covered, warped.skin, pose.was, becomes)
+    if exposure:
+        even = np.ones((*warped.matte.shape, 3)) if ratio is None else ratio
+        ratio = even * 2.0**exposure
     return compose.Edit(warped.person if pose.moved else None, warped.matte, ratio)
 
 

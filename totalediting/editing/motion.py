@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from assets_procedural.motion.poses import ARKIT_NAMES
 from totalediting.editing.sources import head_in_camera
 from totalediting.editing.warping.bust import view_of
+from totalediting.errors import InputError
 from totalediting.faces import correspondences
 from totalediting.geometry.tracking import Tracking
 
@@ -65,6 +66,32 @@ def moved_off(subject: Tracking, driver: Tracking, rest: Rest | None) -> Trackin
     moved = driver._replace(expression=shown, gaze=subject.gaze + driver.gaze - rest.gaze)
     turn = head_in_camera(driver) @ rest.head.T
     return _turned(subject, moved, turn @ head_in_camera(subject))
+
+
+def with_expression(tracking: Tracking, added: Mapping[str, float]) -> Tracking:
+    """A tracking (1, …) with more, or less, of coefficients by ARKit name, kept in [0, 1].
+
+    Raises:
+        InputError: there is no such coefficient, or no such amount.
+    """
+    check_expression("expression", added)
+    if not any(added.values()):
+        return tracking
+    expression = tracking.expression.clone()
+    for name, amount in added.items():
+        expression[:, ARKIT_NAMES.index(name)] += amount
+    return tracking._replace(expression=expression.clamp(0, 1))
+
+
+def check_expression(option: str, added: Mapping[str, float]) -> None:
+    """Raises `InputError` for a coefficient that is none, or an amount beyond [-1, 1]."""
+    for name, amount in added.items():
+        if name not in ARKIT_NAMES:
+            raise InputError(
+                f"{option}: {name}: no such coefficient; give one of {', '.join(ARKIT_NAMES)}"
+            )
+        if not -1 <= amount <= 1:
+            raise InputError(f"{option}: {name}: {amount:g}: give a number from -1 to 1")
 
 
 def _turned(subject: Tracking, motion: Tracking, head: np.ndarray) -> Tracking:

@@ -98,7 +98,8 @@ class Tracker:
             return table.joined([])
         square, fits = fit_clip(self.fitter, faces, times)
         squares = np.tile(square, (len(faces), 1))
-        return table.rows_of([(source, n) for n in numbers], counts, faces, squares, fits)
+        keys = [(source, n) for n in numbers]
+        return table.rows_of(keys, counts, faces, squares, fits, times)
 
 
 def track(source: Path, out: Path) -> list[str]:

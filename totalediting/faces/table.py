@@ -1,7 +1,8 @@
 """Busts fitted to pictures, as a Parquet file: a row per picture.
 
 Columns: `source`, the key of a dataset's shot or the path of a picture or video, `/` between
-folders; `frame`, of a video from 0, of a shot the environment; `faces` found in it, of which the
+folders; `frame`, of a video from 0, of a shot the environment; `seconds` at which a video shows it,
+otherwise 0; `faces` found in it, of which the
 largest was taken; `confidence` that it is one; `residual`, mean distance of landmarks from the
 bust's, in sides of the square; `square` (left, top, side) that the fit is in, in pixels of the
 picture, which it may exceed; `blendshapes`, MediaPipe's 52 in the order of `ARKIT_NAMES`; then the
@@ -25,7 +26,7 @@ from totalediting.faces.fitting import Fits
 from totalediting.faces.landmarker import Face
 from totalediting.geometry.tracking import EXPRESSIONS, SIZES, Tracking
 
-_NUMBERS = ("confidence", "residual")
+_NUMBERS = ("seconds", "confidence", "residual")
 _LISTS = {"square": 3, "blendshapes": EXPRESSIONS, **SIZES._asdict()}
 COLUMNS = {
     "source": "VARCHAR",
@@ -45,6 +46,7 @@ class FitTable:
     """(R,) int."""
     faces: np.ndarray
     """(R,) int."""
+    seconds: np.ndarray
     confidence: np.ndarray
     residual: np.ndarray
     square: np.ndarray
@@ -66,12 +68,15 @@ def rows_of(
     faces: Sequence[Face],
     squares: np.ndarray,
     fits: Fits,
+    seconds: Sequence[float] | None = None,
 ) -> FitTable:
-    """A table of fits in `squares` (R, 3) of the largest of `counts` faces each."""
+    """A table of fits in `squares` (R, 3) of the largest of `counts` faces each; `seconds` of a
+    video's frames."""
     return FitTable(
         source=[source for source, _ in keys],
         frame=np.array([frame for _, frame in keys]),
         faces=np.array(counts),
+        seconds=np.zeros(len(keys)) if seconds is None else np.array(seconds),
         confidence=np.array([face.confidence for face in faces]),
         residual=fits.residual,
         square=squares,
@@ -93,6 +98,7 @@ def joined(tables: Sequence[FitTable]) -> FitTable:
         source=[name for table in tables for name in table.source],
         frame=of("frame", nothing.astype(int)),
         faces=of("faces", nothing.astype(int)),
+        seconds=of("seconds", nothing),
         confidence=of("confidence", nothing),
         residual=of("residual", nothing),
         square=of("square", np.zeros((0, 3))),
@@ -107,7 +113,7 @@ def write(path: Path, table: FitTable) -> None:
     """Write a table, whole or not at all."""
     import duckdb
 
-    numbers = [table.confidence, table.residual]
+    numbers = [table.seconds, table.confidence, table.residual]
     lists = [table.square, table.blendshapes, *(field.numpy() for field in table.tracking)]
     rows = [
         [source, int(frame), int(faces), *map(float, values), *(one.tolist() for one in fields)]
@@ -157,6 +163,7 @@ def read(path: Path) -> FitTable:
         source=[str(text) for text in found["source"]],
         frame=np.asarray(found["frame"], np.int64),
         faces=np.asarray(found["faces"], np.int64),
+        seconds=arrays["seconds"],
         confidence=arrays["confidence"],
         residual=arrays["residual"],
         square=arrays["square"],

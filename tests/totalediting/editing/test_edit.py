@@ -153,6 +153,9 @@ def bad_jobs(job, folder):
         (replace(job, lighting=folder / "text.mp4"), "is a video"),
         (replace(job, lighting=None, spin=True, orbit=True), "no light to turn"),
         (replace(job, view=(60, 0)), "--view: 60,0"),
+        (replace(job, exposure=5.0), "--exposure: 5: give stops from -4 to 4"),
+        (replace(job, expression={"grin": 0.5}), "--expression: grin: no such coefficient"),
+        (replace(job, expression={"jawOpen": 2.0}), "--expression: jawOpen: 2: give a number"),
         (replace(job, decompose=folder / "d", spin=True, out=folder / "o"), "one picture apart"),
     ]
 

@@ -4,7 +4,7 @@ import torch
 from synthetic_faces import a_tracking
 
 from assets_procedural.motion.poses import ARKIT_NAMES
-from totalediting.editing.motion import moved_off, rest_of, taken_over
+from totalediting.editing.motion import moved_off, rest_of, taken_over, with_expression
 from totalediting.editing.sources import head_in_camera
 from totalediting.editing.warping.bust import bust_of, view_of
 from totalediting.geometry.tracking import Tracking
@@ -80,3 +80,11 @@ def test_half_a_wink_closes_both_eyes_and_a_wink_one(tracking):
     assert np.isclose(found[BLINK], found[OTHER]) and found[BLINK] > 0.6
     wink = moved_off(tracking, showing(tracking, eyeBlinkLeft=1.0), None).expression[0]
     assert wink[BLINK] > 0.9 and wink[OTHER] < 0.1
+
+
+def test_coefficients_are_added_and_stay_in_bounds(tracking):
+    shown = showing(tracking, jawOpen=0.3, mouthPucker=0.5)
+    more = with_expression(shown, {"jawOpen": 0.4, "mouthPucker": -1.0})
+    jaw, pucker = (ARKIT_NAMES.index(name) for name in ("jawOpen", "mouthPucker"))
+    assert more.expression[0, jaw] == pytest.approx(0.7) and more.expression[0, pucker] == 0
+    assert with_expression(shown, {"jawOpen": 0.0}) is shown

@@ -13,6 +13,7 @@ def a_table(count: int) -> FitTable:
         source=[f"a'b/[{k}].png" for k in range(count)],
         frame=np.arange(count),
         faces=np.ones(count, int),
+        seconds=np.arange(count) / 25,
         confidence=rng.random(count),
         residual=rng.random(count),
         square=rng.random((count, 3)),
@@ -31,6 +32,7 @@ def test_what_is_written_is_read(tmp_path, count):
     for ours, theirs in zip(found.tracking, written.tracking, strict=True):
         assert (ours == theirs).all()
     assert np.allclose(found.square, written.square)
+    assert np.allclose(found.seconds, written.seconds)
     assert np.allclose(found.blendshapes, written.blendshapes)
 
 

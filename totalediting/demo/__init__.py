@@ -1,0 +1,1 @@
+"""`totalediting demo`: editing on a page in the browser."""
