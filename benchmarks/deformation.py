@@ -40,6 +40,7 @@ POSES = {
     },
 }
 LOW, HIGH = (-0.26, -0.2, 0.28), (0.26, 0.12, 0.83)
+MIDDLE = (0.0, 0.0, 0.64)  # of the head, roughly: the origin of tables
 TILE, GAP, LINES = 360, 14, 34  # pixels of the picture, grid lines each way
 RAYS = 128 * 128 * 96
 PAIRS = 30_000  # pairs of points 1 mm apart
@@ -190,10 +191,12 @@ def answer(way: str, points: Tensor, control: Control) -> tuple[Tensor, Tensor]:
     if way == "naive":
         return naive(points, control, ALPHA)
     if way.startswith("table"):
-        low, high = box(str(points.device))
+        middle = points.new_tensor(MIDDLE)
+        moved = control._replace(posed=control.posed - middle, canonical=control.canonical - middle)
         resolution = int(way.split()[1])
-        field = tabulate(lambda p: mls(p, control, clusters=CLUSTERS), low, high, resolution)
-        found: Field = field(points)
+        field = tabulate(lambda p: mls(p, moved, clusters=CLUSTERS), resolution, points)
+        found: Field = field(points - middle)
+        return found.position + middle, found.rotation
     else:
         found = mls(points, control, clusters=CLUSTERS if way == "clusters" else None)
     return found.position, found.rotation

@@ -27,7 +27,6 @@ from totalediting.geometry.field import Control, Field, Table, tabulate
 from totalediting.geometry.projection import unproject
 from totalediting.geometry.shown import Shown, sheet_of
 from totalediting.geometry.source import Source
-from totalediting.geometry.space import box
 from totalediting.geometry.surface_field import surface_field
 from totalediting.geometry.volume import resize_intrinsics
 from totalediting.light import phong
@@ -302,8 +301,6 @@ class TotalEditing(nn.Module):
                 return moved
             return Field(moved.position, one(preset.rotation, points).quaternion)
 
-        low, high = box(control.posed)
-        with torch.autocast(low.device.type, enabled=False):
-            return tabulate(
-                field, low, high, preset.deformation_nodes, lead=control.posed.shape[:-2]
-            )
+        lead = control.posed.shape[:-2]
+        with torch.autocast(control.posed.device.type, enabled=False):
+            return tabulate(field, preset.deformation_nodes, control.posed, lead)

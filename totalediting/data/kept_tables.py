@@ -18,10 +18,9 @@ from torch import Tensor
 
 from assets_procedural.conventions.files import replacing
 from totalediting.geometry.field import Control, Table
-from totalediting.geometry.space import box
 
 _ROOM = 1 << 28  # bytes in memory
-_FORMAT = 1  # of the files; to be raised when fields change their numbers
+_FORMAT = 2  # of the files; to be raised when fields change their numbers
 
 
 class KeptTables:
@@ -47,8 +46,7 @@ class KeptTables:
             for key, made in zip(missing, solved, strict=True):
                 values[key] = made
                 self._keep(key, made)
-        ends = box(controls[0].posed)
-        return [Table(values[key].to(controls[0].posed), *ends, ()) for key in keys]
+        return [Table(values[key].to(controls[0].posed), ()) for key in keys]
 
     def _key(self, control: Control) -> str:
         digest = hashlib.blake2b(self.solved.encode(), digest_size=16)

@@ -94,10 +94,15 @@ def skin_near(
     infinite beyond. Arguments as of `view`, for any n."""
     with torch.autocast(points.device.type, enabled=False):
         grid = _GRIDS[0] if n <= _GRIDS[0] else _GRIDS[1]
-        depth = view(points, normals, camera_to_world, intrinsics, side, grid).depth
-        reach = grid // _SIDEWAYS
-        for _ in range(2):  # each silhouette goes on to its sides
-            around = -functional.max_pool2d(-depth, 2 * reach + 1, 1, reach)
-            depth = torch.where(depth < FAR, depth, around)
+        depth = widened(view(points, normals, camera_to_world, intrinsics, side, grid).depth)
         depth = functional.interpolate(depth, (n, n), mode="nearest")
         return torch.where(depth < FAR, depth, torch.inf)
+
+
+def widened(depth: Tensor) -> Tensor:
+    """Depth (B, 1, n, n) of a `BustView`, with each silhouette gone on to its sides."""
+    reach = depth.shape[-1] // _SIDEWAYS
+    for _ in range(2):
+        around = -functional.max_pool2d(-depth, 2 * reach + 1, 1, reach)
+        depth = torch.where(depth < FAR, depth, around)
+    return depth

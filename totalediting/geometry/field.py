@@ -1,9 +1,9 @@
 """A deformation field: canonical positions and rotations of points of posed space.
 
 Symbols: P query points, V control points (the bust's vertices), F triangles. Positions are in
-metres, in any frame that posed and canonical space share. For a point p of posed space T(p) is its
-canonical position and R(p) the rotation of directions, so that n^c = R(p) n^t and
-n^t = R(p)^T n^c. Both are constants to autograd: no gradient flows through them.
+metres, in any frame that posed and canonical space share; those of tables in model space. For a
+point p of posed space T(p) is its canonical position and R(p) the rotation of directions, so that
+n^c = R(p) n^t and n^t = R(p)^T n^c. Both are constants to autograd: no gradient flows through them.
 `totalediting.geometry.moving_least_squares` and `totalediting.geometry.surface_field` make fields.
 """
 
@@ -15,6 +15,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 from torch.nn import functional
+
+from totalediting.geometry.space import off_planes, on_planes
 
 _CELL = 0.05  # metres: edge of the cells that points are sorted into
 _LOOKUPS = 1 << 18  # points at once in a table
@@ -66,43 +68,43 @@ class Field(NamedTuple):
 
 
 class Table:
-    """A field on a regular grid, looked up trilinearly: what a renderer calls for every sample.
+    """A field over the box of `space`, looked up trilinearly: what a renderer calls for every
+    sample.
 
-    `low`, `high` (3,) metres: positions of the first and the last node. Offsets T(p) - p and
-    quaternions are interpolated, the latter normalised after it; outside, the border's are used.
+    Nodes are evenly spaced in places, so finest at the face. Offsets T(p) - p and quaternions are
+    interpolated, the latter normalised after it; outside, the border's are used.
     """
 
-    def __init__(self, values: Tensor, low: Tensor, high: Tensor, lead: tuple[int, ...]) -> None:
+    def __init__(self, values: Tensor, lead: tuple[int, ...]) -> None:
         """`values` (prod(lead), 7, n, n, n): offsets, then quaternions; z, y, x of the nodes."""
-        self.values, self.low, self.high, self.lead = values, low, high, lead
+        self.values, self.lead = values, lead
 
     @classmethod
-    def of(cls, field: Field, low: Tensor, high: Tensor, resolution: int) -> Table:
-        """`field` at `nodes(low, high, resolution)`, with any leading dimensions."""
+    def of(cls, field: Field, resolution: int) -> Table:
+        """`field` at `nodes(resolution)`, with any leading dimensions."""
         lead = tuple(field.position.shape[:-2])
-        offset = field.position - nodes(low, high, resolution).to(field.position)
+        offset = field.position - nodes(resolution, field.position)
         # q and -q are one rotation: to be averaged, all must lie on one side.
         side = (field.quaternion * field.quaternion[..., :1, :]).sum(-1, keepdim=True)
         sign = torch.where(side < 0, -1.0, 1.0)
         values = torch.cat([offset, sign * field.quaternion], -1)
         values = values.reshape(-1, *(resolution,) * 3, 7).movedim(-1, 1).contiguous()
-        return cls(values, low, high, lead)
+        return cls(values, lead)
 
     @classmethod
     def stack(cls, tables: list[Table]) -> Table:
-        """Tables without leading dimensions, over one box, as one of (B,)."""
-        values = torch.cat([table.values for table in tables])
-        return cls(values, tables[0].low, tables[0].high, (len(tables),))
+        """Tables without leading dimensions as one of (B,)."""
+        return cls(torch.cat([table.values for table in tables]), (len(tables),))
 
     def unstack(self) -> list[Table]:
         """The inverse of `stack`."""
-        return [Table(values, self.low, self.high, ()) for values in self.values.split(1)]
+        return [Table(values, ()) for values in self.values.split(1)]
 
     def mirrored(self) -> Table:
-        """The table of the mirrored scene, x for -x; of a box that is its own mirror image."""
+        """The table of the mirrored scene, x for -x; the box is its own mirror image."""
         signs = self.values.new_tensor([-1.0, 1, 1, 1, 1, -1, -1])  # an axis is a pseudovector
         values = self.values.flip(-1) * signs[:, None, None, None]
-        return Table(values, self.low, self.high, self.lead)
+        return Table(values, self.lead)
 
     @torch.no_grad()
     def __call__(self, points: Tensor) -> Field:
@@ -126,10 +128,9 @@ class Table:
             raise ValueError(f"points must be {(*self.lead, 'P', 3)}, got {tuple(points.shape)}")
         flat = points.reshape(len(values), -1, 3)
         found = flat.new_empty(*flat.shape[:-1], values.shape[1])
-        unit = 2 / (self.high - self.low)
         for part in range(0, flat.shape[1], _LOOKUPS):
             here = slice(part, part + _LOOKUPS)
-            place = (flat[:, here] - self.low) * unit - 1
+            place = on_planes(flat[:, here])
             found[:, here] = functional.grid_sample(
                 values, place[:, :, None, None], padding_mode="border", align_corners=True
             )[..., 0, 0].mT
@@ -138,32 +139,24 @@ class Table:
 
 @torch.no_grad()
 def tabulate(
-    field: Callable[[Tensor], Field],
-    low: Tensor,
-    high: Tensor,
-    resolution: int,
-    lead: tuple[int, ...] = (),
+    field: Callable[[Tensor], Field], resolution: int, like: Tensor, lead: tuple[int, ...] = ()
 ) -> Table:
-    """A `Table` of `field` with `resolution` nodes along each axis of the box from `low` to `high`.
-
-    `low`, `high` (3,) metres give dtype and device; `lead` are the field's leading dimensions.
+    """A `Table` of `field` with `resolution` nodes along each axis of the box, of the dtype and on
+    the device of `like`; `lead` are the field's leading dimensions.
 
     Raises:
-        ValueError: an empty box or a resolution below 2.
+        ValueError: a resolution below 2.
     """
-    if low.shape != (3,) or high.shape != (3,) or not bool((high > low).all()):
-        raise ValueError(f"low and high must be (3,) with low < high, got {low} and {high}")
     if resolution < 2:
         raise ValueError(f"resolution must be at least 2, got {resolution}")
-    points = nodes(low, high, resolution).expand(*lead, -1, 3)
-    return Table.of(field(points), low, high, resolution)
+    return Table.of(field(nodes(resolution, like).expand(*lead, -1, 3)), resolution)
 
 
-def nodes(low: Tensor, high: Tensor, resolution: int) -> Tensor:
-    """(resolution^3, 3) node positions of a `Table`; x runs fastest."""
-    share = torch.linspace(0, 1, resolution, dtype=low.dtype, device=low.device)
-    z, y, x = torch.meshgrid(share, share, share, indexing="ij")
-    return low + torch.stack([x, y, z], -1).reshape(-1, 3) * (high - low)
+def nodes(resolution: int, like: Tensor) -> Tensor:
+    """(resolution^3, 3) node positions of a `Table`, metres; x runs fastest."""
+    side = torch.linspace(-1, 1, resolution, dtype=like.dtype, device=like.device)
+    z, y, x = torch.meshgrid(side, side, side, indexing="ij")
+    return off_planes(torch.stack([x, y, z], -1).reshape(-1, 3))
 
 
 def kabsch(moment: Tensor) -> Tensor:

@@ -9,6 +9,9 @@ The light of the source is divided out once, for all of its pixels: the colour o
 shading s_d of the bust's normals is about the albedo. Both are shown, with what tells how much to
 trust them, and what of the light was baked in can be told from the difference.
 
+Hair and clothes are where the source is covered beside the bust: a little before and behind its
+silhouette, as space carving leaves them.
+
 B batch, P points, S side of the picture, A features. Places as of `projection`.
 """
 
@@ -30,11 +33,14 @@ from totalediting.geometry.space import off_planes
 from totalediting.light.lightmaps import sample
 from totalediting.light.phong import display, undisplay
 
-SIGHT = 10
-"""Channels of one candidate: colour and unlit colour (display-referred), coverage, how squarely
-the camera sees it, how well it is seen in all, and how far it lies behind the nearest skin."""
+SIGHT = 11
+"""Channels of one candidate: colour and unlit colour (display-referred), coverage, whether hair or
+clothes off the bust must be about there, how squarely the camera sees it, how well it is seen in
+all, and how far it lies behind the nearest skin, or behind the silhouette beside it."""
 COVERAGE = 6
 """The one of coverage."""
+OFF = 7
+"""The one of hair and clothes."""
 PIXEL = 8
 """Channels of `Sheet.seen`."""
 _GRID = 64, 128  # sides of the bust's view, for pictures up to twice the first, and beyond
@@ -42,14 +48,17 @@ _DARK = 0.03  # of shadings: what is in the dark says little of an albedo
 _SLACK, _SOFT = 0.008, 0.003  # metres behind the nearest skin from which on a point is hidden
 _SQUARE = 0.4  # cosine from which on skin is seen well
 _BEHIND = 0.02  # metres: unit of the last channel
+_THICK = 0.02  # metres before and behind the bust's silhouette: deviation of hair off it
+_BARE = 0.05  # metres behind that skin beside the bust: nothing of the bust is there
 
 
 class Sheet(NamedTuple):
     """The source as it is looked up."""
 
     pixels: Tensor
-    """(B, 9, S, S) colour and unlit colour, premultiplied by the coverage that follows; how
-    squarely skin is seen; its depth in metres."""
+    """(B, 10, S, S) colour and unlit colour, premultiplied by the coverage that follows; how
+    squarely skin is seen; its depth in metres, and the same with that of the silhouette beside
+    it."""
     warp: Table
     """The way from canonical space to the bust in the source."""
     camera_to_world: Tensor
@@ -90,14 +99,14 @@ def sheet_of(source: Source, warp: Table) -> Sheet:
     view = bust_view.view(control.posed, control.posed_normals, *camera, side, grid)
     normal = view.normal.flatten(2).mT @ source.to_light.mT
     shade = sample(source.lightmaps[:, 0], normal).mT.view_as(view.normal)
-    shade, facing, depth = (
+    shade, facing, depth, beside = (
         functional.interpolate(a, (side, side), mode="bilinear")
-        for a in (shade, view.facing, view.depth)
+        for a in (shade, view.facing, view.depth, bust_view.widened(view.depth))
     )
     light = undisplay(source.image, 1)
     unlit = display(((light + 0.2 * _DARK) / (shade + _DARK)).clamp(0, 1), 1)
     covered = source.alpha * torch.cat([source.image, unlit, torch.ones_like(depth)], 1)
-    pixels = torch.cat([covered, facing, depth], 1)
+    pixels = torch.cat([covered, facing, depth, beside], 1)
     relief = relief_of(control.canonical, control.canonical_normals)
     return Sheet(pixels, warp, *camera, relief)
 
@@ -151,11 +160,15 @@ def _sights(sheet: Sheet, points: Tensor) -> tuple[Tensor, Tensor]:
     camera = sheet.camera_to_world, sheet.intrinsics
     places, depth = project(sheet.warp.positions(both), *camera, side)
     found = look_up(sheet.pixels, places)
-    colours, alpha, facing, nearest = found.split([6, 1, 1, 1], -1)
+    colours, alpha, facing, nearest, beside = found.split([6, 1, 1, 1, 1], -1)
     behind = depth[..., None] - nearest
     inside = (places.abs() < 1).all(-1, keepdim=True)
     visible = torch.sigmoid((_SLACK - behind) / _SOFT)
+    off = alpha * inside * ((nearest - beside) / _BARE).clamp(0, 1)
+    off = off * (-0.5 * ((depth[..., None] - beside) / _THICK).square()).exp()
+    hidden = torch.where(inside, 1 - visible, 1.0) * alpha
+    off = torch.maximum(off, hidden * torch.cat(off.chunk(2, 1)[::-1], 1))
     sight = alpha * visible * inside * (facing / _SQUARE).clamp_max(1)
     colours = (colours / alpha.clamp_min(0.05)).clamp(0, 1)
-    known = 2 * torch.cat([colours, alpha, facing, sight], -1) - 1
-    return torch.cat([known, (behind / _BEHIND).tanh()], -1), places
+    known = 2 * torch.cat([colours, alpha, off, facing, sight], -1) - 1
+    return torch.cat([known, ((depth[..., None] - beside) / _BEHIND).tanh()], -1), places

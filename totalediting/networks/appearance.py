@@ -74,11 +74,11 @@ class AppearanceEncoder(nn.Module):
         """Encode what sources show.
 
         Raises:
-            ValueError: pixels of another shape than (B, 9, S, S).
+            ValueError: pixels of another shape than (B, 10, S, S).
         """
         side = self.xy.shape[-1]
-        if sheet.pixels.ndim != 4 or sheet.pixels.shape[1:] != (PIXEL + 1, side, side):
-            wanted = f"(B, {PIXEL + 1}, {side}, {side})"
+        if sheet.pixels.ndim != 4 or sheet.pixels.shape[1:] != (PIXEL + 2, side, side):
+            wanted = f"(B, {PIXEL + 2}, {side}, {side})"
             raise ValueError(f"pixels must be {wanted}, got {tuple(sheet.pixels.shape)}")
         xy = self.xy.to(sheet.pixels).expand(len(sheet.pixels), -1, -1, -1)
         detail = self.detail(torch.cat([sheet.seen, xy], 1))

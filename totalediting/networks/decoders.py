@@ -27,9 +27,10 @@ as low-frequency radiance transfer (Sloan et al. 2002) in the lightmaps that the
 shaded from one side lowers k_d and looks to the other. It stays linear in light.
 
 Hidden layers are Softplus, as in EG3D (Chan et al. 2022). First and last layers are drawn so that a
-fresh network is the bust in a translucent fog (`FRESH`) where the source covers its background,
-with the bust's normals, the source's colour, k_d = 1, small k_s and no residual. These networks are
-small and must become steep, so they learn at `PACE` times the rate of the others.
+fresh network is the bust, with hair and clothes beside it (`HAIR`), in a translucent fog (`FRESH`)
+where the source covers its background, with the bust's normals, the source's colour, k_d = 1, small
+k_s and no residual. These networks are small and must become steep, so they learn at `PACE` times
+the rate of the others.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from totalediting.geometry.shown import COVERAGE, SIGHT, colour_of
+from totalediting.geometry.shown import COVERAGE, OFF, SIGHT, colour_of
 from totalediting.light.lightmaps import LOBES, SHININESS, encode, sample
 from totalediting.light.phong import display, reflect, undisplay
 from totalediting.networks.blocks import linear
@@ -60,6 +61,8 @@ FULL = 12.0
 """How much larger a fresh x is inside the skin: 400 / m, which stops all light within 1 cm."""
 CLEAR = 6.0
 """How much smaller it is where the source shows that nothing covers its background."""
+HAIR = 4.0
+"""How much larger it is where the source shows hair or clothes off the bust."""
 SKIN = 0.016
 """Thickness over which that rises, in places: 2 mm at the face, see `space`."""
 PACE = 6.0
@@ -111,7 +114,7 @@ class GeometryDecoder(nn.Module):
     density sigma (B, N) in 1/metre, positive.
 
     What the source covers there tells hair and clothes from nothing (space carving, Kutulakos and
-    Seitz 2000).
+    Seitz 2000). Fresh, it has them where `shown` finds them off the bust.
     """
 
     def __init__(self, preset: Preset) -> None:
@@ -122,8 +125,9 @@ class GeometryDecoder(nn.Module):
     def forward(self, features: Tensor, inside: Tensor, seen: Tensor) -> Tensor:
         skin = torch.sigmoid(inside / SKIN)
         known = torch.cat([features, 2 * skin[..., None] - 1, seen], -1)
-        covered = (1 + seen[..., COVERAGE]) / 2
-        x = self.net(known)[..., 0] + FULL * skin - CLEAR * (1 - skin) * (1 - covered)
+        covered, off = ((1 + seen[..., channel]) / 2 for channel in (COVERAGE, OFF))
+        x = self.net(known)[..., 0] + FULL * skin
+        x = x + (1 - skin) * (HAIR * off - CLEAR * (1 - covered))
         return DENSITY_SCALE * functional.softplus(x - 1.0)
 
 

@@ -42,7 +42,7 @@ from totalediting.networks.lightmap_estimator import LightmapEstimator
 from totalediting.presets import Preset
 from totalediting.pretrained.sface import Recognition
 from totalediting.training import checkpoints, losses
-from totalediting.training.objective import Truth, terms, truth_of, truth_of_real
+from totalediting.training.objective import Truth, terms, truth_of_real
 from totalediting.training.reconstruction import TABLES, PairStage, edit_of, generator_on
 from totalediting.training.stage import Loss, RealVideo, StageSettings, Validation
 from totalediting.training.stages import STAGES
@@ -217,7 +217,7 @@ class JointStage(PairStage):
             seen, to_light = self._light(code), to_camera
         tables = self.tables(joint.model, batch)
         edit = edit_of(joint.model, batch, generator, seen, to_light, tables=tables)
-        wanted = truth_of(batch)
+        wanted = self.truth(batch, tables)
         found = terms(joint.model, edit, wanted, factors, generator)
         truth = encode(lightmap_estimator.fold(batch.seen_lightmaps))
         found["lightmap"] = losses.lightmap_loss(code, truth, self.texels.to(code.device))

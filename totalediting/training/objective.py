@@ -15,6 +15,8 @@ from torch import Tensor
 from torch.nn import functional
 
 from totalediting.data.pairs import PortraitPair
+from totalediting.geometry.field import Table
+from totalediting.geometry.projection import unproject
 from totalediting.model import Edit, TotalEditing, Window
 from totalediting.networks.density import Volume, density_jitter, density_normals
 from totalediting.presets import Preset
@@ -60,8 +62,17 @@ class Truth(NamedTuple):
         return self._replace(**parts)
 
 
-def truth_of(batch: PortraitPair) -> Truth:
-    """The ground truth of synthetic pictures."""
+def truth_of(batch: PortraitPair, there: Table | None = None) -> Truth:
+    """The ground truth of synthetic pictures.
+
+    Labels of canonical positions keep the expression. Where a bust at rest has none, they are
+    where its deformation `there`, from the pose to show, takes the true depth.
+    """
+    canonical = batch.canonical
+    if there is not None:
+        points = unproject(batch.depth, batch.camera_to_world, batch.intrinsics).flatten(1, 2)
+        moved = there.positions(points).mT.view_as(canonical)
+        canonical = torch.where(batch.depth > 0, moved, 0.0)
     alpha, known = batch.alpha, batch.transparent[:, None, None, None]
     return Truth(
         image=batch.mot_image,
@@ -74,7 +85,7 @@ def truth_of(batch: PortraitPair) -> Truth:
         matted=torch.ones(len(alpha), dtype=torch.bool, device=alpha.device),
         normal=batch.normal,
         albedo=batch.albedo,
-        canonical=batch.canonical,
+        canonical=canonical,
     )
 
 

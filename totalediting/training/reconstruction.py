@@ -114,6 +114,10 @@ class PairStage(Stage):
             found.append(Table.stack([t.mirrored() if m else t for t, m in pairs]))
         return Tables(*found)
 
+    def truth(self, batch: PortraitPair, tables: Tables) -> Truth:
+        """What a batch's edits should be."""
+        return truth_of(batch, tables.there if self.preset.expression == "warped" else None)
+
     def batches(self, first: int, size: int, rank: int, ranks: int) -> Iterator[PortraitPair]:
         start, moving = first * size * ranks, self.static_steps * size * ranks
         if start < moving:
@@ -147,7 +151,7 @@ class ReconstructStage(PairStage):
         window = window_in(self.network.preset)
         tables = self.tables(self.network, batch)
         edit = edit_of(network, batch, generator, window=window, tables=tables)
-        truth = truth_of(batch).within(window, self.network.preset)
+        truth = self.truth(batch, tables).within(window, self.network.preset)
         found = terms(self.network, edit, truth, self.weights.at(step), generator)
         self.perceived(found, edit, truth, self.weights.at(step))
         total = losses.total(found, self.weights, step)

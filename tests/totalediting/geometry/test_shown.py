@@ -8,13 +8,13 @@ from torch import Tensor
 from torch.nn import functional
 
 from totalediting.geometry import bust_view, shown
-from totalediting.geometry.field import Control, Table, tabulate
+from totalediting.geometry.field import Control, tabulate
 from totalediting.geometry.moving_least_squares import mls
 from totalediting.geometry.projection import project, unproject
 from totalediting.geometry.relief import inside, relief_of, skin_normal
-from totalediting.geometry.shown import SIGHT, Shown, colour_of, on_front, sheet_of
+from totalediting.geometry.shown import OFF, SIGHT, Shown, colour_of, on_front, sheet_of
 from totalediting.geometry.source import Source
-from totalediting.geometry.space import box, on_planes
+from totalediting.geometry.space import on_planes
 from totalediting.light.lightmaps import bake, sample, texel_directions
 from totalediting.light.phong import display, undisplay
 
@@ -64,10 +64,8 @@ def source(turn: float, light: Tensor | None = None) -> Source:
 
 
 def sheet(of: Source) -> shown.Sheet:
-    low, high = box(of.image)
     back = of.control.back()
-    warp = tabulate(lambda p: mls(p, back), low, high, 24, (1,))
-    return sheet_of(of, Table(warp.values, low, high, (1,)))
+    return sheet_of(of, tabulate(lambda p: mls(p, back), 24, of.image, (1,)))
 
 
 def sights(of: Source, points: Tensor) -> Tensor:
@@ -187,6 +185,26 @@ def test_the_sources_light_is_divided_out() -> None:
     colour, unlit = undisplay((found[:, :3] + 1) / 2), undisplay((found[:, 3:6] + 1) / 2)
     assert colour.max() / colour.min() > 2
     assert (unlit - 0.4).abs().max() < 0.05
+
+
+def test_hair_is_where_the_source_is_covered_beside_the_bust() -> None:
+    """About the silhouette's depth; where the bust hides a point, as on the other side."""
+    _, hit = points_seen()
+    hair = functional.max_pool2d(hit.float()[None, None], 9, 1, 4)  # a centimetre around
+    of = source(0.0)._replace(alpha=hair)
+    beside, before, skin = (0.108, -0.03, 0.0), (0.104, -0.13, 0.0), (0.0, -RADIUS, 0.0)
+    off = (sights(of, torch.tensor([beside, before, skin]))[:, OFF] + 1) / 2
+    assert off[0] > 0.6 and off[1:].max() < 0.01
+    bald = (sights(source(0.0), torch.tensor([beside]))[:, OFF] + 1) / 2
+    assert bald.max() < 0.05
+
+    # Turned far to one side: what hides behind the ball has the hair of its mirror image.
+    of = source(0.9)._replace(alpha=hair)
+    angle = torch.linspace(0, 2 * torch.pi, 73)[:-1]
+    around = 0.108 * torch.stack([angle.cos(), angle.sin(), 0 * angle], -1)
+    hidden = (around @ rotation(0.9).T)[:, 1] > 0.06
+    found, none = ((sights(s, around)[hidden, OFF] + 1) / 2 for s in (of, source(0.9)))
+    assert found.mean() > 0.02 and found.mean() > 5 * none.mean()
 
 
 def test_features_follow_the_pixels_and_learn() -> None:

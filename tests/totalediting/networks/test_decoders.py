@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from totalediting.geometry import volume
-from totalediting.geometry.shown import COVERAGE, SIGHT
+from totalediting.geometry.shown import COVERAGE, OFF, SIGHT
 from totalediting.light import phong
 from totalediting.light.lightmaps import bake
 from totalediting.networks import decoders
@@ -101,7 +101,8 @@ def test_density_is_positive_and_follows_the_last_layer() -> None:
         last.bias.fill_(41.0)
     features, inside, seen = of_geometry()
     skin, bare = torch.sigmoid(inside / decoders.SKIN), (1 - seen[..., COVERAGE]) / 2
-    full = DENSITY_SCALE * (40.0 + decoders.FULL * skin - decoders.CLEAR * (1 - skin) * bare)
+    beside = decoders.HAIR * (1 + seen[..., OFF]) / 2 - decoders.CLEAR * bare
+    full = DENSITY_SCALE * (40.0 + decoders.FULL * skin + (1 - skin) * beside)
     torch.testing.assert_close(decoder(features, inside, seen), full)
 
 
@@ -110,17 +111,31 @@ def test_a_fresh_volume_is_the_skin_in_a_translucent_fog() -> None:
     decoder = GeometryDecoder(TINY)
     features = torch.randn(1, 4096, TINY.plane_channels)
     seen = 2 * torch.rand(1, 4096, SHOWN) - 1
-    seen[..., COVERAGE] = 1
+    seen[..., COVERAGE], seen[..., OFF] = 1, -1
     outside, inside = (decoder(features, torch.full((1, 4096), i), seen) for i in (-1.0, 1.0))
     seen[..., COVERAGE] = -1
     bare = decoder(features, torch.full((1, 4096), -1.0), seen)
     assert 1.0 - math.exp(-0.6 * bare.mean().item()) < 0.01, "none beside what the source covers"
     none = torch.zeros(1, 1, SHOWN)
     blank = decoder(torch.zeros(1, 1, TINY.plane_channels), torch.zeros(1, 1), none).item()
-    fog = decoders.FRESH + decoders.FULL / 2 - decoders.CLEAR / 4  # on the skin, half covered
+    beside = decoders.HAIR / 2 - decoders.CLEAR / 2  # half covered
+    fog = decoders.FRESH + decoders.FULL / 2 + beside / 2  # on the skin
     assert blank == pytest.approx(DENSITY_SCALE * math.log1p(math.exp(fog - 1.0)), rel=1e-5)
     assert 0.1 < 1.0 - math.exp(-0.6 * outside.mean().item()) < 0.8
     assert (1.0 - (-0.015 * inside).exp()).min() > 0.9, "within 15 mm"
+
+
+def test_a_fresh_volume_has_hair_where_the_source_shows_it() -> None:
+    torch.manual_seed(0)
+    decoder = GeometryDecoder(TINY)
+    features, outside, seen = of_geometry()
+    outside = torch.full_like(outside, -1.0)
+    seen[..., COVERAGE], seen[..., OFF] = 1, -1
+    fog = decoder(features, outside, seen)
+    seen[..., OFF] = 1
+    hair = decoder(features, outside, seen)
+    assert (1 - (-0.05 * hair).exp()).mean() > 0.6, "in a thickness of 5 cm"
+    assert hair.mean() > 8 * fog.mean()
 
 
 def test_a_fresh_surface_is_matt_and_has_no_residual() -> None:

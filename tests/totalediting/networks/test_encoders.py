@@ -14,7 +14,6 @@ from totalediting.geometry import field
 from totalediting.geometry.field import Table
 from totalediting.geometry.relief import CHANNELS
 from totalediting.geometry.shown import PIXEL, SIGHT, Sheet
-from totalediting.geometry.space import box
 from totalediting.geometry.tracking import CODE, EXPRESSIONS, FILL, FOCAL_MM, SIZES, Tracking
 from totalediting.networks import head_tracker
 from totalediting.networks.appearance import Appearance, AppearanceEncoder
@@ -85,17 +84,16 @@ def sheet(image: Tensor) -> Sheet:
     """A source that needs no turning: a slab across the box, seen from afar."""
     batch, side = len(image), image.shape[-1]
     one = torch.ones_like(image[:, :1])
-    pixels = torch.cat([image, image, one, one, 100 * one], 1)
+    pixels = torch.cat([image, image, one, one, 100 * one, 100 * one], 1)
     still = torch.zeros(batch, 7, 2, 2, 2)
     still[:, 3] = 1
-    low, high = (tensor.to(image.device) for tensor in box(torch.zeros(1)))
     camera = torch.eye(4)
     camera[:3, :3] = torch.tensor([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
     camera[:3, 3] = torch.tensor([0.0, -20.0, 0.0])
     lens = torch.tensor([[32.0 * side, 0, side / 2], [0, 32.0 * side, side / 2], [0, 0, 1]])
     relief = torch.zeros(batch, CHANNELS, 64, 64)
     camera, lens = (a.to(image.device).expand(batch, -1, -1) for a in (camera, lens))
-    still = Table(still.to(image.device), low, high, (batch,))
+    still = Table(still.to(image.device), (batch,))
     return Sheet(pixels, still, camera, lens, relief.to(image.device))
 
 
@@ -473,7 +471,7 @@ def test_wrong_shapes_are_refused_with_their_shape():
     global_, detail, _ = net.appearance(sheet(image))
     feature = torch.zeros(2, MINI.token_dim, MINI.tokens, MINI.tokens)
     wrong = (
-        (lambda: net.appearance(sheet(image[..., :32, :32])), r"pixels .*\(2, 9, 32, 32\)"),
+        (lambda: net.appearance(sheet(image[..., :32, :32])), r"pixels .*\(2, 10, 32, 32\)"),
         (lambda: net.tracker(image[:, :1]), r"\(2, 1, 64, 64\)"),
         (lambda: net.deenactor(detail, code), r"\(2, 16, 32, 32\)"),
         (lambda: net.deenactor(global_, code[:1]), r"\(1, 54\)"),

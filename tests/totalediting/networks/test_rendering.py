@@ -269,7 +269,7 @@ def rigid_field() -> Any:
     canonical = torch.randn(1, 200, 3, generator=seeded(1)) * 0.1
     normals = functional.normalize(torch.randn(1, 200, 3, generator=seeded(2)), dim=-1)
     control = Control((canonical - shift) @ turn, canonical, normals @ turn, normals)
-    return tabulate(lambda points: mls(points, control), LOW, HIGH, 5, (1,))
+    return tabulate(lambda points: mls(points, control), 5, canonical, (1,))
 
 
 def test_moving_the_subject_is_moving_the_camera() -> None:

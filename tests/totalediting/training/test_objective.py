@@ -61,6 +61,19 @@ def test_the_background_network_learns_from_what_is_beside_the_subject(
         assert gradient is None or gradient[:3].abs().max() == 0
 
 
+def test_the_true_surface_is_where_the_deformation_takes_it(
+    transparent_dataset: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Labels keep the expression, which a bust at rest may not have."""
+    stage, batch, _ = made(transparent_dataset, monkeypatch)
+    truth = truth_of(batch, stage.tables(stage.network, batch).there)
+    assert truth.canonical is not None
+    hit = (batch.depth > 0)[:, 0]
+    assert not truth.canonical.movedim(1, -1)[~hit].any()
+    apart = (truth.canonical - batch.canonical).norm(dim=1)[hit]
+    assert 0 < apart.median() < 0.008
+
+
 def test_a_transparent_picture_counts_as_a_whole(
     transparent_dataset: Path, small_dataset: Path
 ) -> None:
