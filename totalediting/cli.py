@@ -214,8 +214,31 @@ def evaluate(
             "true light. RUN may then be a folder that does not exist."
         ),
     ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            metavar="DIR",
+            help="Instead, write tables (Markdown, JSON) and a page: novel views, self- and "
+            "cross-reenactment, relighting, layers.",
+        ),
+    ] = None,
+    predictions: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="With --out: score another system's pictures, named as its questions.json says; "
+            "RUN then only gives the preset.",
+        ),
+    ] = None,
+    device: Annotated[Device, typer.Option(help="Where to compute, with --out.")] = "cpu",
 ) -> None:
     """Measure every stage of a trained run on a split of a dataset."""
+    if out is not None:
+        _write_tables(run, data, split, out, predictions, device)
+        return
+    if predictions is not None:
+        raise _error("--predictions", predictions, "is scored into tables; give --out, too")
     with console.progress("measuring stages") as advance:
         from totalediting.training import checkpoints, runs
 
@@ -229,6 +252,31 @@ def evaluate(
         if trained or not found:
             found |= runs.evaluate(run, data, split, advance)
     _print_figures(found)
+
+
+def _write_tables(
+    run: Path, data: Path, split: str, out: Path, predictions: Path | None, device: Device
+) -> None:
+    """`evaluate --out`."""
+    if predictions is not None and not predictions.is_dir():
+        raise _error("--predictions", predictions, "is no folder; give one of pictures")
+    if out.exists() and not out.is_dir():
+        raise _error("--out", out, "is a file; give a folder's name")
+    place = _device(device)
+    with console.progress("evaluating") as advance:
+        from totalediting.evaluation.run import evaluate as write
+        from totalediting.training import checkpoints, runs, showcase
+
+        trained = runs.trained_in(run)
+        if predictions is None:
+            model = showcase.load_model(run).to(place)
+            preset = model.preset
+        else:
+            model = None
+            preset = checkpoints.preset_of(trained[0].folder(run)) if trained else PRESETS["tiny"]
+        written = write(model, predictions, data, preset, split, out, place, advance)
+    for path in written:
+        console.say(path)
 
 
 @app.command()

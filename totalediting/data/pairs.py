@@ -168,6 +168,18 @@ class PortraitPairs(EndlessDataset[PortraitPair]):
             pair = pair._replace(app=misfitted(pair.app, rng))
         return mirrored(pair) if turn else pair
 
+    def of(self, item: int, source: int, lights: tuple[int, int] = (0, 0)) -> PortraitPair:
+        """The pair of two given shots, each in a given environment: the source, then the target.
+
+        Raises `Unreadable`.
+        """
+        app_light, mot_light = (Light((number,), (torch.ones(3),)) for number in lights)
+        try:
+            made, depth = self._source(source, app_light)
+            return self._pair(item, mot_light, lights[0], source, made, depth)
+        except DAMAGE as error:
+            raise Unreadable(item, reason(error)) from error
+
     def _source(self, position: int, light: Light) -> tuple[Source, Tensor]:
         """I_app, with its own expression at rest, and its depth."""
         wanted = ("alpha", "depth", "geometry", "meta")
