@@ -71,8 +71,9 @@ class Table:
     """A field over the box of `space`, looked up trilinearly: what a renderer calls for every
     sample.
 
-    Nodes are evenly spaced in places, so finest at the face. Offsets T(p) - p and quaternions are
-    interpolated, the latter normalised after it; outside, the border's are used.
+    Nodes are evenly spaced in places, so finest at the face. Between them offsets T(p) - p, so that
+    rigid motions are exact, and quaternions are interpolated, the latter normalised after it;
+    outside, the border's are used.
     """
 
     def __init__(self, values: Tensor, lead: tuple[int, ...]) -> None:
@@ -130,7 +131,7 @@ class Table:
         found = flat.new_empty(*flat.shape[:-1], values.shape[1])
         for part in range(0, flat.shape[1], _LOOKUPS):
             here = slice(part, part + _LOOKUPS)
-            place = on_planes(flat[:, here])
+            place = _between_nodes(flat[:, here], values.shape[-1])
             found[:, here] = functional.grid_sample(
                 values, place[:, :, None, None], padding_mode="border", align_corners=True
             )[..., 0, 0].mT
@@ -157,6 +158,16 @@ def nodes(resolution: int, like: Tensor) -> Tensor:
     side = torch.linspace(-1, 1, resolution, dtype=like.dtype, device=like.device)
     z, y, x = torch.meshgrid(side, side, side, indexing="ij")
     return off_planes(torch.stack([x, y, z], -1).reshape(-1, 3))
+
+
+def _between_nodes(points: Tensor, resolution: int) -> Tensor:
+    """Where points (..., 3) are in a table, [-1, 1] each way, by metres between its nodes."""
+    last = resolution - 1
+    along = off_planes(torch.linspace(-1, 1, resolution).to(points)[:, None].expand(-1, 3))
+    first = ((on_planes(points) + 1) / 2 * last).floor().clamp(0, last - 1).long()
+    axes = torch.arange(3, device=points.device)
+    low, high = along[first, axes], along[first + 1, axes]
+    return 2 * (first + (points - low) / (high - low)) / last - 1
 
 
 def kabsch(moment: Tensor) -> Tensor:
