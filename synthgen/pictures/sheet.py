@@ -11,7 +11,7 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from assets_procedural.conventions import console
-from synthgen.dataset.folder import Place
+from synthgen.dataset.folder import Place, StorageError
 from synthgen.dataset.reading import Dataset, open_dataset
 from synthgen.dataset.records import Description, PlannedSubset
 from synthgen.dataset.shot import Shot
@@ -101,6 +101,8 @@ def portraits(out: Place, target: Path | str, subset: str | None = None, columns
     """
     dataset = open_dataset(out, subset=subset)
     people = list(dataset.subjects().values())
+    if not people:
+        raise StorageError(f"{out}: nothing of subset {subset} is finished yet; render goes on")
     single = len(people) == 1
     chosen = people[0] if single else [positions[0] for positions in people[:MOST]]
     images: list[np.ndarray] = []

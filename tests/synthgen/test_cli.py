@@ -322,6 +322,17 @@ def test_pictures_edge_to_edge_and_a_clip(synthgen: Synthgen, out: Path, tmp_pat
         assert image.info["duration"] == 100
 
 
+def test_a_sheet_of_a_subset_that_is_not_begun_is_one_line(
+    failure: Callable[..., str], out: Path, tmp_path: Path
+) -> None:
+    begun = shutil.copytree(out, tmp_path / "begun")
+    shutil.rmtree(begun / "ledger" / "video")
+    shutil.rmtree(begun / "manifest")
+    assert "nothing of subset video is finished yet" in failure(
+        "sheet", begun, "--portraits", "--subset", "video"
+    )
+
+
 def test_a_clip_of_nothing_is_one_line(failure: Callable[..., str], out: Path) -> None:
     assert "s000077 is no subject of it" in failure("clip", out, "video/s000077")
     assert "not 7" in failure("clip", out, "video/s000001", "--environment", "7")
