@@ -36,11 +36,11 @@ sys.path.insert(0, str(ROOT / "tests" / "support"))
 import fake_renderer  # noqa: E402
 from starlette.testclient import TestClient  # noqa: E402
 
-from synthgen.browse import sandbox  # noqa: E402
 from synthgen.browse.app import create  # noqa: E402
 from synthgen.browse.folder import Folder  # noqa: E402
-from synthgen.browse.snapshot import Library  # noqa: E402
-from synthgen.browse.thumbnails import Thumbnails  # noqa: E402
+from synthgen.browse.shot.thumbnails import Thumbnails  # noqa: E402
+from synthgen.browse.table import sandbox  # noqa: E402
+from synthgen.browse.table.snapshot import Library  # noqa: E402
 from synthgen.dataset import manifest, open_dataset  # noqa: E402
 from synthgen.dataset.folder import StorageError  # noqa: E402
 from synthgen.farm.local import render_job  # noqa: E402

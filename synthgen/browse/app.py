@@ -47,29 +47,21 @@ from starlette.responses import FileResponse, JSONResponse, Response, StreamingR
 from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
-from synthgen.browse import (
-    counts,
-    dataset,
-    exports,
-    light,
-    samples,
-    selection,
-    shot_page,
-    shots,
-    subjects,
-)
-from synthgen.browse.decoded import Decoder
+from synthgen.browse import dataset
+from synthgen.browse.access.public import TakingTurns
+from synthgen.browse.access.security import Guard, plain_header
+from synthgen.browse.access.uploads import Uploads
 from synthgen.browse.folder import Folder, Refused, name
-from synthgen.browse.public import TakingTurns
-from synthgen.browse.runs import PREFIX, Beside
-from synthgen.browse.samples import Broken, Sample
-from synthgen.browse.sandbox import ROWS
-from synthgen.browse.security import Guard, plain_header
-from synthgen.browse.selection import Selection
-from synthgen.browse.snapshot import Library, Snapshot
+from synthgen.browse.shot import light, samples, shot_page, subjects
+from synthgen.browse.shot.decoded import Decoder
+from synthgen.browse.shot.runs import PREFIX, Beside
+from synthgen.browse.shot.samples import Broken, Sample
+from synthgen.browse.shot.thumbnails import SIZES, Thumbnails
+from synthgen.browse.table import counts, exports, selection, shots
+from synthgen.browse.table.sandbox import ROWS
+from synthgen.browse.table.selection import Selection
+from synthgen.browse.table.snapshot import Library, Snapshot
 from synthgen.browse.tagging import Tagging
-from synthgen.browse.thumbnails import SIZES, Thumbnails
-from synthgen.browse.uploads import Uploads
 from synthgen.dataset.folder import StorageError
 from synthgen.dataset.tags import tags_folder
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from assets_procedural.motion.poses import ARKIT_NAMES
-from synthgen.browse.fields import GRID, ordered
-from synthgen.browse.snapshot import Snapshot
+from synthgen.browse.table.fields import GRID, ordered
+from synthgen.browse.table.snapshot import Snapshot
 from synthgen.dataset.passes import PASSES, Pass
 from synthgen.pictures.drawing import PALETTE
 

@@ -11,14 +11,14 @@ from pathlib import Path
 import uvicorn
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
+from synthgen.browse.access.public import HOST
+from synthgen.browse.access.security import is_loopback, new_token
 from synthgen.browse.app import create
 from synthgen.browse.folder import Folder
-from synthgen.browse.public import HOST
-from synthgen.browse.runs import open_beside
-from synthgen.browse.security import is_loopback, new_token
-from synthgen.browse.snapshot import Library, threads
+from synthgen.browse.shot.runs import open_beside
+from synthgen.browse.shot.thumbnails import Thumbnails
+from synthgen.browse.table.snapshot import Library, threads
 from synthgen.browse.tagging import Tagging
-from synthgen.browse.thumbnails import Thumbnails
 from synthgen.dataset.tags import tags_folder
 from synthgen.errors import JobError
 

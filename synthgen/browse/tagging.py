@@ -22,11 +22,11 @@ import numpy as np
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 
-from synthgen.browse import exports, selection
+from synthgen.browse.access.uploads import Uploads
 from synthgen.browse.folder import Refused
-from synthgen.browse.selection import Selection
-from synthgen.browse.snapshot import Library, Snapshot
-from synthgen.browse.uploads import Uploads
+from synthgen.browse.table import exports, selection
+from synthgen.browse.table.selection import Selection
+from synthgen.browse.table.snapshot import Library, Snapshot
 from synthgen.dataset import tags as marks
 from synthgen.dataset.folder import StorageError
 from synthgen.dataset.records import Description, read_description

@@ -28,8 +28,8 @@ from starlette.testclient import TestClient
 
 from synthgen.browse.app import create
 from synthgen.browse.folder import Folder
-from synthgen.browse.snapshot import Library
-from synthgen.browse.thumbnails import Thumbnails
+from synthgen.browse.table.snapshot import Library
+from synthgen.browse.shot.thumbnails import Thumbnails
 from synthgen.dataset import open_dataset
 from synthgen.dataset.gate import inspect
 from synthgen.farm.local import render_job

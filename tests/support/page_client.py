@@ -10,8 +10,8 @@ from starlette.testclient import TestClient
 
 from synthgen.browse.app import create
 from synthgen.browse.folder import Folder
-from synthgen.browse.snapshot import Library
-from synthgen.browse.thumbnails import Thumbnails
+from synthgen.browse.shot.thumbnails import Thumbnails
+from synthgen.browse.table.snapshot import Library
 
 
 def client(out: Path, cache: Path, library: Library | None = None, **options: Any) -> TestClient:

@@ -15,7 +15,7 @@ from page_client import client, selected
 from starlette.testclient import TestClient
 
 from synthgen import cli
-from synthgen.browse import exports
+from synthgen.browse.table import exports
 from synthgen.dataset import open_dataset
 from synthgen.dataset.manifest import query
 from synthgen.publish.verify import verify

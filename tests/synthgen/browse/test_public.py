@@ -13,13 +13,13 @@ from starlette.responses import JSONResponse
 from starlette.testclient import TestClient
 
 from synthgen import cli
-from synthgen.browse import public
+from synthgen.browse.access import public
+from synthgen.browse.access.public import TakingTurns
 from synthgen.browse.app import create
 from synthgen.browse.folder import Folder
-from synthgen.browse.public import TakingTurns
-from synthgen.browse.snapshot import Library
+from synthgen.browse.shot.thumbnails import Thumbnails
+from synthgen.browse.table.snapshot import Library
 from synthgen.browse.tagging import Tagging
-from synthgen.browse.thumbnails import Thumbnails
 from synthgen.dataset import tags
 from synthgen.dataset.records import read_description
 

@@ -13,11 +13,11 @@ from page_client import selected
 from starlette.testclient import TestClient
 
 from assets_procedural.conventions.errors import UserError
-from synthgen.browse import runs
 from synthgen.browse.app import create
 from synthgen.browse.folder import Folder
-from synthgen.browse.snapshot import Library
-from synthgen.browse.thumbnails import Thumbnails
+from synthgen.browse.shot import runs
+from synthgen.browse.shot.thumbnails import Thumbnails
+from synthgen.browse.table.snapshot import Library
 from synthgen.dataset import open_dataset
 from synthgen.errors import JobError
 

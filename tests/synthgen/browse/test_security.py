@@ -17,12 +17,12 @@ import duckdb
 import pytest
 from starlette.testclient import TestClient
 
-from synthgen.browse import sandbox as sandboxes
 from synthgen.browse.app import create
 from synthgen.browse.folder import Folder, Refused
-from synthgen.browse.sandbox import Sandbox
-from synthgen.browse.snapshot import Library
-from synthgen.browse.thumbnails import Thumbnails
+from synthgen.browse.shot.thumbnails import Thumbnails
+from synthgen.browse.table import sandbox as sandboxes
+from synthgen.browse.table.sandbox import Sandbox
+from synthgen.browse.table.snapshot import Library
 from synthgen.dataset.codecs import encode_json
 from synthgen.dataset.folder import StorageError
 from synthgen.dataset.shards import tar_entry

@@ -21,9 +21,9 @@ from starlette.testclient import TestClient
 
 from assets_procedural.conventions.colour import srgb_decode
 from synthgen import cli
-from synthgen.browse import snapshot as snapshots
 from synthgen.browse.folder import Folder
-from synthgen.browse.snapshot import Library
+from synthgen.browse.table import snapshot as snapshots
+from synthgen.browse.table.snapshot import Library
 from synthgen.dataset import Dataset, manifest, open_dataset
 from synthgen.dataset.codecs import decode_exr
 from synthgen.farm.local import render_job
@@ -389,7 +389,7 @@ def test_what_cannot_light_is_refused_in_one_line(ask: TestClient, monkeypatch: 
     answer = ask.post("/lightmaps", content=b"\x76\x2f\x31\x01" + b"\0" * 40)
     assert answer.status_code == 422
     assert answer.json()["error"].startswith("the file: is damaged")
-    monkeypatch.setattr("synthgen.browse.light.LARGEST_UPLOAD", 10)
+    monkeypatch.setattr("synthgen.browse.shot.light.LARGEST_UPLOAD", 10)
     assert ask.post("/lightmaps", content=b"#?RADIANCE and more").status_code == 413
     monkeypatch.setitem(sys.modules, "totalediting.light.arrays", None)
     answer = ask.get("/lightmaps/city")

@@ -16,11 +16,11 @@ import pytest
 import uvicorn
 
 from synthgen.browse import serve as serving
-from synthgen.browse import uploads
+from synthgen.browse.access import uploads
 from synthgen.browse.app import create
 from synthgen.browse.folder import Folder, Refused
-from synthgen.browse.snapshot import Library
-from synthgen.browse.thumbnails import Thumbnails
+from synthgen.browse.shot.thumbnails import Thumbnails
+from synthgen.browse.table.snapshot import Library
 
 
 @contextlib.contextmanager
@@ -41,7 +41,7 @@ def served(app: Any) -> Iterator[int]:
 def port(small_dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
     monkeypatch.setattr(serving, "HEADER_SECONDS", 0.5)
     monkeypatch.setattr(uploads, "PATIENCE", 0.5)
-    monkeypatch.setattr("synthgen.browse.light.LARGEST_UPLOAD", 1 << 20)
+    monkeypatch.setattr("synthgen.browse.shot.light.LARGEST_UPLOAD", 1 << 20)
     library = Library(Folder(small_dataset), 1)
     # Without a token any name of this machine is accepted, whatever the port.
     with served(create(library, Thumbnails(tmp_path), None, 0)) as number:

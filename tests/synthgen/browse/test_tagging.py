@@ -12,9 +12,9 @@ from starlette.testclient import TestClient
 
 from synthgen.browse.app import create
 from synthgen.browse.folder import Folder
-from synthgen.browse.snapshot import Library
+from synthgen.browse.shot.thumbnails import Thumbnails
+from synthgen.browse.table.snapshot import Library
 from synthgen.browse.tagging import Tagging
-from synthgen.browse.thumbnails import Thumbnails
 from synthgen.dataset import open_dataset, tags
 
 A, B = "multiview/s000000_p00", "multiview/s000000_p01"

@@ -6,10 +6,10 @@ import math
 from decimal import Decimal
 from typing import Any
 
-from synthgen.browse.fields import GRID
 from synthgen.browse.folder import Refused
-from synthgen.browse.selection import Selection
-from synthgen.browse.snapshot import Snapshot
+from synthgen.browse.table.fields import GRID
+from synthgen.browse.table.selection import Selection
+from synthgen.browse.table.snapshot import Snapshot
 from synthgen.dataset.database import quoted
 
 PLACE = ("key", "shard", "offset", "size", "failed", "reason")

@@ -10,7 +10,7 @@ import numpy as np
 
 from assets_procedural.conventions.colour import srgb_decode
 from synthgen.browse.folder import Refused
-from synthgen.browse.samples import Broken, Sample
+from synthgen.browse.shot.samples import Broken, Sample
 from synthgen.dataset.passes import PASSES, named
 from synthgen.dataset.shards import decode, decode_fields
 from synthgen.dataset.shot import Shot

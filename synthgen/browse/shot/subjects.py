@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from assets_procedural.motion.poses import ARKIT_NAMES
-from synthgen.browse.decoded import metadata
 from synthgen.browse.folder import Folder, Refused
-from synthgen.browse.samples import Broken, Sample
-from synthgen.browse.shots import plain
-from synthgen.browse.snapshot import Snapshot
+from synthgen.browse.shot.decoded import metadata
+from synthgen.browse.shot.samples import Broken, Sample
+from synthgen.browse.table.shots import plain
+from synthgen.browse.table.snapshot import Snapshot
 from synthgen.dataset.database import quoted
 
 _MOST = 5000  # shots of a subject

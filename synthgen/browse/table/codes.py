@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from synthgen.browse.fields import Column
-from synthgen.browse.sandbox import Sandbox
+from synthgen.browse.table.fields import Column
+from synthgen.browse.table.sandbox import Sandbox
 from synthgen.dataset.database import quoted
 
 BINS = 32

@@ -20,9 +20,9 @@ from typing import Any
 
 import numpy as np
 
-from synthgen.browse.fields import Column
 from synthgen.browse.folder import Refused
-from synthgen.browse.snapshot import Snapshot
+from synthgen.browse.table.fields import Column
+from synthgen.browse.table.snapshot import Snapshot
 from synthgen.dataset.database import literal, quoted
 from synthgen.dataset.folder import StorageError
 from synthgen.dataset.tags import bare

@@ -21,11 +21,11 @@ from typing import Any
 import duckdb
 
 from assets_procedural.conventions.files import read_regular
-from synthgen.browse.codes import Codes
-from synthgen.browse.fields import LEFT_OUT, Column, column
 from synthgen.browse.folder import Folder, Refused
-from synthgen.browse.matches import Matches
-from synthgen.browse.sandbox import Sandbox
+from synthgen.browse.table.codes import Codes
+from synthgen.browse.table.fields import LEFT_OUT, Column, column
+from synthgen.browse.table.matches import Matches
+from synthgen.browse.table.sandbox import Sandbox
 from synthgen.dataset import ledger, lights, manifest
 from synthgen.dataset.columns import IDENTITY, PLACE, schema_of
 from synthgen.dataset.database import quoted

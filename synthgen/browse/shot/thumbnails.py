@@ -14,7 +14,7 @@ import threading
 from pathlib import Path
 
 from assets_procedural.conventions.files import cache_folder, write_atomically
-from synthgen.browse.samples import Broken, Sample
+from synthgen.browse.shot.samples import Broken, Sample
 from synthgen.dataset.codecs import decode_png
 from synthgen.pictures.page import fit
 

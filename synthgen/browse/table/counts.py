@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from synthgen.browse.codes import Coded
-from synthgen.browse.fields import Column
 from synthgen.browse.folder import Refused
-from synthgen.browse.selection import Selection
-from synthgen.browse.shots import plain
-from synthgen.browse.snapshot import Snapshot
+from synthgen.browse.table.codes import Coded
+from synthgen.browse.table.fields import Column
+from synthgen.browse.table.selection import Selection
+from synthgen.browse.table.shots import plain
+from synthgen.browse.table.snapshot import Snapshot
 
 
 def count(

@@ -6,10 +6,10 @@ import shlex
 from typing import Any
 from urllib.parse import quote
 
-from synthgen.browse.decoded import Decoder
 from synthgen.browse.folder import Folder
-from synthgen.browse.samples import Broken, Sample
-from synthgen.browse.snapshot import Snapshot
+from synthgen.browse.shot.decoded import Decoder
+from synthgen.browse.shot.samples import Broken, Sample
+from synthgen.browse.table.snapshot import Snapshot
 from synthgen.dataset.passes import PASSES
 from synthgen.pictures.drawing import PICTURES
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from synthgen.browse.sandbox import Sandbox
+from synthgen.browse.table.sandbox import Sandbox
 
 _KEPT = 24
 

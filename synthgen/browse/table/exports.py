@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from synthgen.browse.folder import Refused
-from synthgen.browse.selection import Selection
-from synthgen.browse.snapshot import Snapshot
+from synthgen.browse.table.selection import Selection
+from synthgen.browse.table.snapshot import Snapshot
 from synthgen.dataset.database import literal, quoted
 from synthgen.dataset.manifest import Answer
 from synthgen.publish import answers

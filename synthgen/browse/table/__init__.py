@@ -1,0 +1,1 @@
+"""The manifest as a table that the page searches: sandboxed, encoded, selected, counted."""
