@@ -250,7 +250,7 @@ def test_histograms_hold_every_value_between_their_edges(ask: TestClient, small_
         (
             {"where": "nose > 3"},
             'where: Binder Error: Referenced column "nose" not found in FROM clause! Candidate '
-            'bindings: "pose", "offset", "cost_beauty", "index", "person_asian"',
+            'bindings: "pose", "offset", "motion_seconds", "cost_beauty", "index"',
         ),
     ],
 )
