@@ -24,6 +24,8 @@ _UPPER_ARCH = np.array(
 _LOWER_ARCH = _UPPER_ARCH * [0.93, 0.97]
 # Vertices of MakeHuman's base mesh on the midline: the wet side of the upper and the lower lip.
 _UPPER_WALL, _LOWER_WALL = (554, 571), (557, 574)
+# Metres below the seam where the skin is hollow, and how thick it is before the gums.
+_HOLLOW, _CHIN_SKIN = (0.009, 0.012, 0.015, 0.018), 7.5e-3
 # Where the lips meet.
 _SEAM = (474, 493, 520, 523)
 
@@ -115,6 +117,12 @@ class _Frame:
         self.seam = rest[model.from_base(_SEAM)].mean(axis=0)
         self.wall = rest[model.from_base(_UPPER_WALL)][:, 1].max()
         self.lower_wall = rest[model.from_base(_LOWER_WALL)][:, 1].max()
+        skin = rest[model.groups["skin"]]
+        chin = skin[np.abs(skin[:, 0]) < 0.018]
+        below = self.seam[2] - chin[:, 2]
+        bands = [chin[np.abs(below - depth) < 4e-3, 1] for depth in _HOLLOW]
+        # Where the skin before the lower gums protrudes least.
+        self.hollow = max((band.min() for band in bands if len(band)), default=-np.inf)
 
     def upper(self, points: np.ndarray) -> np.ndarray:
         """Millimetres of the arch → rest space; z runs down from the gums."""
@@ -126,7 +134,7 @@ class _Frame:
     def lower(self, points: np.ndarray) -> np.ndarray:
         """As `upper`; z runs up from the gums. Lower incisors bite behind the upper ones."""
         edge = LOWER[0].height * self.scale[2]
-        front = max(self.wall + 2.6e-3 + 2.6e-3, self.lower_wall + 3.0e-3)
+        front = max(self.wall + 2.6e-3 + 2.6e-3, self.lower_wall + 3.0e-3, self.hollow + _CHIN_SKIN)
         origin = np.array([0, front, self.seam[2] - 0.2e-3 - edge])
         return origin + self._tilted(points * self.scale * [1, -1, 1])
 

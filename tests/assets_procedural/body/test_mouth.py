@@ -11,6 +11,8 @@ from assets_procedural.body.mouth import jaw_motion, mouth
 from assets_procedural.conventions.parts import Part
 from assets_procedural.mesh.subdivision import catmull_clark
 from assets_procedural.motion.poses import Pose
+from assets_procedural.people.people_settings import PeopleSettings
+from assets_procedural.people.person_sampling import sample_person
 from assets_procedural.person import Person
 
 PEOPLE = {
@@ -19,6 +21,7 @@ PEOPLE = {
         phenotypes={"gender": 0.0, "age": 0.98, "weight": 0.7},
         shape={"mouth-scale-horiz-incr": -0.6},
     ),
+    "small jaw": sample_person(np.random.default_rng(16), PeopleSettings()),
 }
 SMILE = {"mouthSmileLeft": 1.0, "mouthSmileRight": 1.0}
 UP = {"mouthUpperUpLeft": 0.8, "mouthUpperUpRight": 0.8}
