@@ -9,6 +9,7 @@ from typing import Any
 
 # pyright: reportMissingImports=false
 import gradio as gr
+from gradio.themes import Base, colors
 
 from assets_procedural.conventions.errors import UserError
 from totalediting.data.clips import VIDEOS
@@ -34,9 +35,9 @@ BACKGROUNDS = {
     "the light's": "light",
     "grey": "#808080",
 }
-THEME = gr.themes.Base(
-    primary_hue=gr.themes.colors.amber,
-    neutral_hue=gr.themes.colors.stone,
+THEME = Base(
+    primary_hue=colors.amber,
+    neutral_hue=colors.stone,
     font=["system-ui", "sans-serif"],
     font_mono=["monospace"],
 )
